@@ -1,0 +1,126 @@
+"""Runtime assets: what a fitted model ships, and the one thing accuracy and speed are both measured from.
+
+An asset is a folder of `weights.safetensors` and `manifest.json` (kernels of the three stages, dtypes, shapes, SHA-256).
+Methods write it, the runtime and `evaluate` read it; nothing else passes between them.
+"""
+
+import hashlib
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from prt_bench.errors import AssetError
+from prt_bench.models import LinearModel, Model, NearestModel
+
+VERSION = 1
+_MODELS: tuple[type[Model], ...] = (LinearModel, NearestModel)
+_DTYPES = ("float32", "float16")
+
+
+@dataclass(frozen=True, eq=False)
+class RuntimeAsset:
+    """Weights and kernels of one model, as loaded from disk.
+
+    `arrays` are the stored (quantised) weights, `kernels` names the runtime kernel of each stage, `sha256` is the hash of
+    the weights file, `bytes` the size of each array.
+    """
+
+    path: Path
+    kernels: dict[str, str]
+    arrays: dict[str, np.ndarray]
+    dtype: str
+    sha256: str
+
+    @property
+    def bytes(self) -> dict[str, int]:
+        """Bytes of each stored array."""
+        return {name: array.nbytes for name, array in self.arrays.items()}
+
+    def model(self) -> Model:
+        """The model with the weights as stored, computing in float32: what the runtime is compared with."""
+        weights = {name: jnp.asarray(array, jnp.float32) for name, array in self.arrays.items()}
+        return _model_class(self.kernels)(**weights)
+
+    def predict(self, ds: object) -> Float[np.ndarray, "N T C"]:
+        """Indirect irradiance from the stored weights, in float32."""
+        model = self.model()
+        x = jnp.asarray(model.measure(ds), jnp.float32)  # pyright: ignore[reportArgumentType]
+        return np.asarray(model.reconstruct(model.transfer(x)))
+
+
+def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsset:
+    """Write `model` to the folder `path` in one step (a half-written asset is never visible) and load it back.
+
+    The basis is stored in `dtype`; what transfers coefficients stays float32. Raises `AssetError` for weights that are not
+    finite or overflow `dtype`.
+    """
+    if dtype not in _DTYPES:
+        raise AssetError(f"assets store {' or '.join(_DTYPES)}, not '{dtype}'")
+    if not model.kernels:
+        raise AssetError(f"{type(model).__name__} is an oracle: it needs the answer to predict it, so it has no runtime asset")
+    stored = {
+        name: np.ascontiguousarray(array, dtype if name == "basis" else "float32") for name, array in model.arrays().items()
+    }
+    for name, array in stored.items():
+        if not np.all(np.isfinite(array)):
+            raise AssetError(f"weights '{name}' are not finite in {array.dtype}; store them in a wider dtype or rescale the light")
+    payload = save(stored)
+    manifest = {
+        "format": "prt-bench runtime asset",
+        "version": VERSION,
+        "kernels": model.kernels,
+        "dtype": dtype,
+        "arrays": {name: {"shape": list(a.shape), "dtype": str(a.dtype)} for name, a in stored.items()},
+        "sha256": hashlib.sha256(payload).hexdigest(),
+    }
+    partial = path.with_name(path.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    (partial / "weights.safetensors").write_bytes(payload)
+    (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    if path.exists():
+        if not (path / "manifest.json").is_file():
+            shutil.rmtree(partial)
+            raise AssetError(f"{path} exists and is not a runtime asset; choose another folder")
+        shutil.rmtree(path)
+    partial.rename(path)
+    return load_asset(path)
+
+
+def load_asset(path: str | Path) -> RuntimeAsset:
+    """Load an asset. Raises `AssetError` when it is missing, truncated, altered, or of a version this code cannot read."""
+    path = Path(path)
+    try:
+        manifest = json.loads((path / "manifest.json").read_text(encoding="utf-8"))
+        payload = (path / "weights.safetensors").read_bytes()
+    except FileNotFoundError as error:
+        raise AssetError(f"{path} is not a runtime asset: {Path(error.filename).name} is missing") from error
+    except ValueError as error:
+        raise AssetError(f"{path / 'manifest.json'} is not valid JSON; export the model again") from error
+    if manifest.get("version") != VERSION:
+        raise AssetError(
+            f"{path} is a runtime asset of version {manifest.get('version')}, but this prt-bench reads version {VERSION}"
+        )
+    found = hashlib.sha256(payload).hexdigest()
+    if found != manifest["sha256"]:
+        raise AssetError(f"{path / 'weights.safetensors'} is truncated or altered: its SHA-256 is not the manifest's")
+    try:
+        arrays = load(payload)
+    except SafetensorError as error:
+        raise AssetError(f"{path / 'weights.safetensors'} cannot be read ({error}); export the model again") from error
+    _model_class(manifest["kernels"])
+    return RuntimeAsset(path, manifest["kernels"], arrays, manifest["dtype"], found)
+
+
+def _model_class(kernels: dict[str, str]) -> type[Model]:
+    for model in _MODELS:
+        if model.kernels == kernels:
+            return model
+    raise AssetError(f"no model of this version has the kernels {kernels}")

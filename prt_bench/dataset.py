@@ -1,0 +1,194 @@
+"""A lighting dataset: pairs of direct and indirect light for many lightings of one scene.
+
+Reads what `data_gen.bake` wrote, or holds arrays in memory. Large arrays stay on disk until asked for.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from jaxtyping import Float, Int
+
+from prt_bench.environment import EnvironmentMap
+from prt_bench.errors import DatasetError
+from prt_bench.lights import Lighting, light_from_json
+from prt_bench.points import Lightmap, SurfacePoints
+from prt_bench.scene import Scene
+from prt_bench.store import open_group, read_lightmap, read_points, read_scene
+from prt_bench.transport import GatherOperator
+
+
+@dataclass(frozen=True, eq=False)
+class Transport:
+    """The traced operator of a scene: receivers, gather samples and the hit tables between them.
+
+    `receiver_hits` [T, R] and `sample_hits` [S, R] index samples; S marks a ray that carries nothing. Both halves of the
+    rays are estimates of their own, and their difference is the noise floor.
+    """
+
+    scene: Scene
+    lightmap: Lightmap
+    receivers: SurfacePoints
+    samples: SurfacePoints
+    receiver_hits: Int[np.ndarray, "T R"] | zarr.Array
+    sample_hits: Int[np.ndarray, "S R"] | zarr.Array
+    bounces: int
+    key: str
+
+    @classmethod
+    def open(cls, path: Path) -> "Transport":
+        """Open a transport store that `data_gen.bake` wrote."""
+        group = open_group(path, "transport")
+        return cls(
+            read_scene(group),
+            read_lightmap(group, "lightmap"),
+            read_points(group, "receivers"),
+            read_points(group, "samples"),
+            group["receiver_hits"],
+            group["sample_hits"],
+            int(group.attrs["bounces"]),
+            str(group.attrs["key"]),
+        )
+
+    def sample_gather(self, half: int | None = None, differentiable: bool = False) -> GatherOperator:
+        """The operator from samples to samples; `half` 0 or 1 takes one half of the rays, None all of them."""
+        return self._operator(self.sample_hits, slice(None), half, differentiable)
+
+    def receiver_gather(
+        self, rows: slice = slice(None), half: int | None = None, differentiable: bool = False
+    ) -> GatherOperator:
+        """The operator from samples to some of the receivers."""
+        return self._operator(self.receiver_hits, rows, half, differentiable)
+
+    def _operator(self, table: Any, rows: slice, half: int | None, differentiable: bool) -> GatherOperator:
+        rays = table.shape[1]
+        columns = slice(None) if half is None else slice(half * rays // 2, (half + 1) * rays // 2)
+        hits = np.asarray(table[rows, columns], np.int32)
+        return GatherOperator.from_hits(hits, len(self.samples), differentiable)
+
+
+@dataclass(frozen=True, eq=False)
+class LightingDataset:
+    """N lighting configurations of one scene with their direct and indirect light.
+
+    Values are irradiance in W/m². `measured` [N, M, C] is direct light at the measurement points, `direct` and `indirect`
+    [N, T, C] are at the receivers `points`, texels of `lightmap`. `groups` [M, s] lists, for each measurement point, the
+    dense points whose direct light is averaged into it. `metadata` says how it was baked; `splits` names ranges of lightings.
+    """
+
+    transport: Transport
+    measurement_points: SurfacePoints
+    dense_points: SurfacePoints
+    groups: Int[np.ndarray, "M s"]
+    all_lightings: tuple[Lighting, ...]
+    arrays: Mapping[str, Any]
+    splits: Mapping[str, tuple[int, int]]
+    metadata: Mapping[str, Any]
+    rows: tuple[int, int]
+    path: Path | None = None
+
+    @classmethod
+    def open(cls, path: str | Path) -> "LightingDataset":
+        """Open a finished dataset. Raises `DatasetError` when it is missing, damaged, or its transport is not beside it."""
+        path = Path(path)
+        group = open_group(path, "dataset")
+        metadata = json.loads(str(group.attrs["metadata"]))
+        maps = {}
+        if "environments" in group:
+            for name in group["environments"].array_keys():
+                array = group["environments"][name]
+                environment = EnvironmentMap(str(array.attrs["name"]), np.asarray(array[...]))
+                maps[environment.hash] = environment
+        lightings = tuple(
+            Lighting(tuple(light_from_json(light, maps) for light in lights))
+            for lights in json.loads(str(group.attrs["lightings"]))
+        )
+        splits = {name: tuple(rows) for name, rows in metadata["splits"].items()}
+        return cls(
+            Transport.open(path.parent / metadata["transport"]),
+            read_points(group, "measurement_points"),
+            read_points(group, "dense_points"),
+            np.asarray(group["groups"][...]),
+            lightings,
+            {name: group[name] for name in ("measured", "direct", "indirect", "indirect_half", "noise")},
+            splits,
+            metadata,
+            (0, len(lightings)),
+            path,
+        )
+
+    def split(self, name: str) -> "LightingDataset":
+        """The lightings of one split: "train", "test" or "ood-<scenario>". Shares the arrays."""
+        if name not in self.splits:
+            raise DatasetError(f"dataset of '{self.scene.name}' has no split '{name}'; it has {', '.join(self.splits)}")
+        return replace(self, rows=self.splits[name])
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was baked."""
+        return self.transport.scene
+
+    @property
+    def points(self) -> SurfacePoints:
+        """The T receivers."""
+        return self.transport.receivers
+
+    @property
+    def lightmap(self) -> Lightmap:
+        """Where the receivers lie in the lightmap image."""
+        return self.transport.lightmap
+
+    @property
+    def lightings(self) -> tuple[Lighting, ...]:
+        """The N lighting configurations of this split."""
+        return self.all_lightings[slice(*self.rows)]
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the whole dataset's content, the same for any number of workers."""
+        return str(self.metadata["hash"])
+
+    @cached_property
+    def measured(self) -> Float[np.ndarray, "N M C"]:
+        """Direct irradiance at the measurement points, in W/m²."""
+        return self._load("measured")
+
+    @cached_property
+    def direct(self) -> Float[np.ndarray, "N T C"]:
+        """Direct irradiance at the receivers, in W/m²."""
+        return self._load("direct")
+
+    @cached_property
+    def indirect(self) -> Float[np.ndarray, "N T C"]:
+        """Indirect irradiance at the receivers, all bounces, in W/m²."""
+        return self._load("indirect")
+
+    @cached_property
+    def indirect_half(self) -> Float[np.ndarray, "N T C"]:
+        """Indirect irradiance from the first half of the rays alone; kept for held-out lightings only."""
+        first, last = (row - self.metadata["held_out"] for row in self.rows)
+        if first < 0:
+            raise DatasetError("half-ray estimates are kept for held-out lightings only; take split('test') first")
+        return np.asarray(self.arrays["indirect_half"][first:last])
+
+    @cached_property
+    def noise(self) -> Float[np.ndarray, " N"]:
+        """Relative standard error of `indirect` per lighting, from the difference of the two halves of the rays."""
+        return self._load("noise")
+
+    @property
+    def noise_floor(self) -> float:
+        """Root mean square of `noise` over the lightings that are not black."""
+        lit = self.noise[self.noise > 0]
+        return float(np.sqrt(np.mean(lit**2))) if lit.size else 0.0
+
+    def __len__(self) -> int:
+        return self.rows[1] - self.rows[0]
+
+    def _load(self, name: str) -> np.ndarray:
+        return np.asarray(self.arrays[name][slice(*self.rows)])

@@ -1,0 +1,132 @@
+"""Fitted models: the three stages measure → transfer → reconstruct as JAX pytrees.
+
+Models are what an asset holds and the runtime runs, whatever method fitted them; a method only chooses their weights.
+"""
+
+from abc import abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+if TYPE_CHECKING:
+    from prt_bench.assets import RuntimeAsset
+
+
+class Observed(Protocol):
+    """What a model may look at: any object with these arrays, a `LightingDataset` above all."""
+
+    measured: Float[np.ndarray, "N M C"]
+    indirect: Float[np.ndarray, "N T C"]
+    indirect_half: Float[np.ndarray, "N T C"]
+
+
+class Model(eqx.Module):
+    """A fitted model. Every stage is differentiable and can be jitted and vmapped over its arrays."""
+
+    kernels: ClassVar[dict[str, str]]
+    """Names of the runtime kernels of the three stages; empty for models that cannot run in real time."""
+
+    def measure(self, ds: Observed) -> Float[Array, "N M C"]:
+        """What is observed of the light at run time: direct irradiance at the measurement points, W/m²."""
+        return jnp.asarray(ds.measured)
+
+    @abstractmethod
+    def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B C"]:
+        """Coefficients from the observation."""
+
+    @abstractmethod
+    def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
+        """Indirect irradiance at the receivers from the coefficients, W/m²."""
+
+    def predict(self, ds: Observed) -> Float[Array, "N T C"]:
+        """All three stages."""
+        return self.reconstruct(self.transfer(self.measure(ds)))
+
+    @abstractmethod
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """The weights by name, as an asset stores them."""
+
+    @property
+    def span(self) -> Float[Array, "T B"] | None:
+        """Columns whose span holds every prediction, for the projection error; None when the model has none."""
+        return None
+
+    def export(self, path: str | Path, dtype: str = "float32") -> "RuntimeAsset":
+        """Write the weights as a runtime asset, the basis in `dtype` ("float32" or "float16"), and return it loaded back."""
+        from prt_bench.assets import write_asset
+
+        return write_asset(self, Path(path), dtype)
+
+
+class LinearModel(Model):
+    """u = W [x; ‖x‖], y = basis · u: every linear method with or without a mean scaled by the norm.
+
+    basis [T, B]; weights [W, B, M + 1] with W = 1 (one matrix for all channels) or C (one each); the last column multiplies
+    the Euclidean norm of the measured vector, taken per channel. Homogeneous of degree 1 in the light.
+    """
+
+    kernels: ClassVar[dict[str, str]] = {"measure": "direct", "transfer": "linear", "reconstruct": "basis"}
+
+    basis: Float[Array, "T B"]
+    weights: Float[Array, "W B M1"]
+
+    def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B C"]:
+        """W [x; ‖x‖] per channel."""
+        augmented = jnp.concatenate([x, safe_norm(x, axis=1)], axis=1)
+        if self.weights.shape[0] == 1:
+            return jnp.einsum("bm,nmc->nbc", self.weights[0], augmented, precision="highest")
+        return jnp.einsum("cbm,nmc->nbc", self.weights, augmented, precision="highest")
+
+    def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
+        """basis · u."""
+        return jnp.einsum("tb,nbc->ntc", self.basis, u, precision="highest")
+
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """basis and weights."""
+        return {"basis": np.asarray(self.basis), "weights": np.asarray(self.weights)}
+
+    @property
+    def span(self) -> Float[Array, "T B"]:
+        """The basis itself."""
+        return self.basis
+
+
+class NearestModel(Model):
+    """The closest training lighting by direction of the measured vector, scaled by its norm; each channel chooses its own.
+
+    basis [T, B]: indirect light of the B training columns over the norm of their measured vectors;
+    directions [B, M]: those vectors, normalised. The choice is piecewise constant, so its gradient comes from the norm alone.
+    """
+
+    kernels: ClassVar[dict[str, str]] = {"measure": "direct", "transfer": "nearest", "reconstruct": "select"}
+
+    basis: Float[Array, "T B"]
+    directions: Float[Array, "B M"]
+
+    def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B C"]:
+        """‖x‖ at the chosen column, 0 elsewhere."""
+        score = jnp.einsum("bm,nmc->nbc", self.directions, x, precision="highest")
+        choice = jnp.argmax(score, axis=1)
+        one_hot = jnp.moveaxis(jnp.arange(self.directions.shape[0]) == choice[..., None], -1, 1)
+        return one_hot * safe_norm(x, axis=1)
+
+    def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
+        """The chosen columns, scaled."""
+        return jnp.einsum("tb,nbc->ntc", self.basis, u, precision="highest")
+
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """basis and directions."""
+        return {"basis": np.asarray(self.basis), "directions": np.asarray(self.directions)}
+
+
+def safe_norm(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
+    """Euclidean norm along `axis`, kept as an axis of length 1, with gradient 0 at 0 and no overflow or underflow."""
+    largest = jnp.max(jnp.abs(x), axis=axis, keepdims=True)
+    dark = largest == 0
+    scale = jnp.where(dark, 1.0, largest)
+    squared = jnp.sum((x / scale) ** 2, axis=axis, keepdims=True)
+    return jnp.where(dark, 0.0, scale * jnp.sqrt(jnp.where(dark, 1.0, squared)))

@@ -1,0 +1,106 @@
+"""Scenes, points and lightmaps as zarr groups. Values only: what a dataset is lives in `dataset.py`."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from prt_bench.errors import DatasetError
+from prt_bench.points import Lightmap, SurfacePoints
+from prt_bench.scene import Camera, Material, Mesh, Scene
+
+FORMAT = 1
+_POINT_FIELDS = ("position", "normal", "albedo", "face", "barycentric")
+
+
+def open_group(path: Path, kind: str) -> zarr.Group:
+    """Open a finished store of `kind` for reading. Raises `DatasetError` when it is missing, foreign or newer."""
+    if not path.is_dir():
+        raise DatasetError(f"there is no {kind} at {path}; 'prt-bench bake' makes one")
+    try:
+        group = zarr.open_group(path, mode="r")
+    except (FileNotFoundError, ValueError, KeyError) as error:
+        raise DatasetError(f"{path} is not a {kind} of prt-bench; name a folder that 'prt-bench bake' made") from error
+    if group.attrs.get("kind") != kind:
+        raise DatasetError(f"{path} holds {group.attrs.get('kind', 'something else')}, not a {kind}")
+    if group.attrs.get("format") != FORMAT:
+        raise DatasetError(f"{path} has format {group.attrs.get('format')}, but this version reads {FORMAT}; bake it again")
+    return group
+
+
+def write_points(group: zarr.Group, name: str, points: SurfacePoints) -> None:
+    """Store surface points as a subgroup."""
+    child = group.require_group(name)
+    for field in _POINT_FIELDS:
+        write_array(child, field, getattr(points, field))
+
+
+def read_points(group: zarr.Group, name: str) -> SurfacePoints:
+    """The inverse of `write_points`."""
+    return SurfacePoints(*(_array(group, f"{name}/{field}") for field in _POINT_FIELDS))
+
+
+def write_lightmap(group: zarr.Group, name: str, lightmap: Lightmap) -> None:
+    """Store a lightmap's layout as a subgroup."""
+    child = group.require_group(name)
+    child.attrs["resolution"] = lightmap.resolution
+    for field in ("texel", "corner_uv", "chart"):
+        write_array(child, field, getattr(lightmap, field))
+
+
+def read_lightmap(group: zarr.Group, name: str) -> Lightmap:
+    """The inverse of `write_lightmap`."""
+    resolution = int(group[name].attrs["resolution"])
+    return Lightmap(resolution, *(_array(group, f"{name}/{field}") for field in ("texel", "corner_uv", "chart")))
+
+
+def write_scene(group: zarr.Group, scene: Scene) -> None:
+    """Store a scene as the subgroup `scene`."""
+    child = group.require_group("scene")
+    mesh = scene.mesh
+    for name, array in (("vertices", mesh.vertices), ("faces", mesh.faces), ("material", mesh.material)):
+        write_array(child, name, array)
+    if mesh.uv is not None:
+        write_array(child, "uv", mesh.uv)
+    for index, material in enumerate(scene.materials):
+        if material.image is not None:
+            write_array(child, f"image-{index}", material.image)
+    child.attrs["description"] = json.dumps(
+        {
+            "name": scene.name,
+            "notes": scene.notes,
+            "camera": vars(scene.camera),
+            "materials": [{"name": m.name, "albedo": m.albedo, "two_sided": m.two_sided} for m in scene.materials],
+        }
+    )
+
+
+def read_scene(group: zarr.Group) -> Scene:
+    """The inverse of `write_scene`."""
+    about: dict[str, Any] = json.loads(str(group["scene"].attrs["description"]))
+    names = set(group["scene"].array_keys())
+    uv = _array(group, "scene/uv") if "uv" in names else None
+    mesh = Mesh(*(_array(group, f"scene/{name}") for name in ("vertices", "faces", "material")), uv=uv)
+    materials = tuple(
+        Material(
+            entry["name"],
+            tuple(entry["albedo"]),
+            _array(group, f"scene/image-{index}") if f"image-{index}" in names else None,
+            entry["two_sided"],
+        )
+        for index, entry in enumerate(about["materials"])
+    )
+    camera = Camera(**{key: tuple(v) if isinstance(v, list) else v for key, v in about["camera"].items()})
+    return Scene(about["name"], mesh, materials, camera, tuple(about["notes"]))
+
+
+def write_array(group: zarr.Group, name: str, array: np.ndarray) -> None:
+    """Store one array uncompressed as a single chunk, replacing what an interrupted run may have left."""
+    array = np.ascontiguousarray(array)
+    group.create_array(name, data=array, chunks=array.shape, compressors=None, overwrite=True)
+
+
+def _array(group: zarr.Group, path: str) -> np.ndarray:
+    return np.asarray(group[path][...])

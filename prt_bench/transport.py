@@ -1,0 +1,138 @@
+"""Light transport as a linear map, traced once.
+
+A hit table says for every receiver which gather sample each of its R cosine-weighted rays meets. Gathering is then a sparse
+matrix with rows of equal weights 1/R, and every lighting, bounce, channel and method goes through the same matrix:
+
+    E_ind = G ρ (E_dir + E_ind)
+
+Rays are traced in `data_gen`; nothing here knows of geometry. Differentiable in direct light and albedo; hit indices are data.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental import sparse
+from jaxtyping import Array, Float, Int
+
+from prt_bench.errors import FitError
+
+
+class GatherOperator(eqx.Module):
+    """G [P, S]: irradiance at P points from the radiosity of S samples.
+
+    hits [P, R] holds a sample index per ray; the value S marks a ray that carries nothing (it escaped or met the back of a
+    one-sided surface). `adjoint` (row starts [S + 2], receivers [P·R]) is the table sorted by sample; with it gradients
+    cost as much as values, without it they are several times slower.
+    """
+
+    hits: Int[Array, "P R"]
+    samples: int = eqx.field(static=True)
+    adjoint: tuple[Int[Array, " rows"], Int[Array, " hits"]] | None = None
+
+    @classmethod
+    def from_hits(cls, hits: Int[np.ndarray, "P R"], samples: int, differentiable: bool = False) -> "GatherOperator":
+        """Wrap a hit table; `differentiable` sorts it once for fast gradients."""
+        adjoint = None
+        if differentiable:
+            order = np.argsort(hits, axis=None, kind="stable")
+            starts = np.searchsorted(hits.ravel()[order], np.arange(samples + 2))
+            adjoint = (jnp.asarray(starts, jnp.int32), jnp.asarray(order // hits.shape[1], jnp.int32))
+        return cls(jnp.asarray(hits, jnp.int32), samples, adjoint)
+
+    def __call__(self, radiosity: Float[Array, "S K"]) -> Float[Array, "P K"]:
+        """G · radiosity, one column per lighting and channel."""
+        return _gather(self.hits, self.adjoint, jnp.pad(radiosity, ((0, 1), (0, 0))))
+
+
+@jax.custom_vjp
+def _gather(hits: Array, adjoint: tuple[Array, Array] | None, padded: Array) -> Array:
+    points, rays = hits.shape
+    starts = jnp.arange(points + 1, dtype=jnp.int32) * rays
+    return _sparse_product(hits.reshape(-1), starts, (points, padded.shape[0]), padded) / rays
+
+
+def _gather_forward(hits: Array, adjoint: tuple[Array, Array] | None, padded: Array) -> tuple[Array, tuple]:
+    return _gather(hits, adjoint, padded), (hits, adjoint, padded.shape[0])
+
+
+def _gather_backward(residuals: tuple, cotangent: Array) -> tuple[None, None, Array]:
+    hits, adjoint, rows = residuals
+    points, rays = hits.shape
+    if adjoint is None:
+        spread = jnp.repeat(cotangent, rays, axis=0)
+        gradient = jax.ops.segment_sum(spread, hits.reshape(-1), num_segments=rows)
+    else:
+        starts, receivers = adjoint
+        gradient = _sparse_product(receivers, starts, (rows, points), cotangent)
+    return None, None, gradient / rays
+
+
+_gather.defvjp(_gather_forward, _gather_backward)
+
+
+def _sparse_product(indices: Array, starts: Array, shape: tuple[int, int], dense: Array) -> Array:
+    """Product of a 0/1 matrix in compressed rows (duplicates add up) with dense columns: JAX's fastest form on CPU."""
+    ones = jnp.ones(indices.shape, dense.dtype)
+    return sparse.BCSR((ones, indices, starts), shape=shape) @ dense
+
+
+@partial(jax.jit, static_argnames="bounces")
+def radiosity(
+    gather: GatherOperator, albedo: Float[Array, "S C"], direct: Float[Array, "N S C"], bounces: int
+) -> Float[Array, "S N C"]:
+    """Radiosity ρ (E_dir + E_ind) at the gather samples, E_ind holding `bounces` bounces (0: direct light only).
+
+    Neumann series of (I − Gρ)⁻¹; its tail is bounded by `tail_bounds`. Units: W/m².
+    """
+    light = jnp.moveaxis(direct, 0, 1)  # one row per sample, so that a gather reads whole rows
+    samples, lightings, channels = light.shape
+
+    def bounce(_: int, indirect: Array) -> Array:
+        outgoing = albedo[:, None, :] * (light + indirect)
+        return gather(outgoing.reshape(samples, -1)).reshape(samples, lightings, channels)
+
+    indirect = jax.lax.fori_loop(0, bounces, bounce, jnp.zeros_like(light))
+    return albedo[:, None, :] * (light + indirect)
+
+
+@jax.jit
+def final_gather(gather: GatherOperator, outgoing: Float[Array, "S N C"]) -> Float[Array, "N P C"]:
+    """Irradiance at the receivers from the radiosity of the samples: the last bounce. Units: W/m²."""
+    samples, lightings, channels = outgoing.shape
+    received = gather(outgoing.reshape(samples, -1)).reshape(-1, lightings, channels)
+    return jnp.moveaxis(received, 0, 1)
+
+
+def indirect(
+    gather: GatherOperator, albedo: Float[Array, "S C"], direct: Float[Array, "N S C"], bounces: int
+) -> Float[Array, "N S C"]:
+    """Indirect irradiance of `bounces` ≥ 1 bounces where receivers and samples coincide. Units: W/m²."""
+    return final_gather(gather, radiosity(gather, albedo, direct, bounces - 1))
+
+
+def tail_bounds(gather: GatherOperator, albedo: Float[Array, "S C"], most: int) -> Float[np.ndarray, " bounces"]:
+    """Upper bounds of the light that is missing after k = 1 … `most` bounces, relative to the brightest direct light.
+
+    t_k = ‖(Gρ)^k 1‖∞ bounds every bounce, and is submultiplicative, so after k bounces at most
+    Σ_{j>k} t_j ≤ t_{k+1} / (1 − t_1) remains; the geometric mean of the computed t_j sharpens t_1 where that is larger than
+    the actual decay. Raises `FitError` when nothing decays (albedo 1 in a closed scene).
+    """
+    worst = jnp.max(albedo, axis=1)
+    field = jnp.ones((albedo.shape[0], 1), albedo.dtype)
+    decay = []
+    for _ in range(most + 1):
+        field = gather(worst[:, None] * field)
+        decay.append(float(jnp.max(field)))
+        if decay[-1] == 0.0:
+            break
+    heights = np.array(decay)
+    rate = min(heights[-1] ** (1.0 / len(heights)), 1.0)
+    if rate >= 1.0 - 1e-6:
+        raise FitError("light does not decay: a closed scene with albedo 1 keeps all energy; lower the largest albedo")
+    # Σ_{j>k} t_j: computed terms, then blocks of len(heights) bounces shrinking by the last height each.
+    beyond = heights.sum() * heights[-1] / (1.0 - heights[-1]) if heights[-1] < 1 else np.inf
+    remaining = heights[::-1].cumsum()[::-1] + beyond
+    return np.append(remaining[1:], beyond)
