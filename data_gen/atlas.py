@@ -1,0 +1,225 @@
+"""Lightmaps: the atlas that unwraps a scene, the surface point of every texel, and the texel of every hit.
+
+Charts come from xatlas, or from the scene's own texture coordinates where those are a valid atlas. A texel is covered when
+its square overlaps a triangle, so every chart has receivers and a hit always finds one.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import xatlas
+from jaxtyping import Float, Int
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from data_gen.geometry import reverse_of
+from data_gen.raster import overlaps, rasterise
+from prt_bench.errors import SceneError
+from prt_bench.points import Lightmap, SurfacePoints
+from prt_bench.scene import Scene
+
+PADDING = 2
+"""Texels between charts: room for lookups half a texel off a chart, on either side."""
+_FIT_STEPS = 12
+_NO_CHART = -1
+_log = logging.getLogger(__name__)
+
+
+def unwrap(scene: Scene, resolution: int) -> Lightmap:
+    """The lightmap of a scene, `resolution` texels on a side; the same every time.
+
+    The scene's texture coordinates are used when they lie in [0, 1], no face is degenerate in them, and no texel is
+    shared by two charts or overlapping faces; otherwise xatlas makes charts and packs them as large as fits. The log
+    (INFO) says which. Faces that no chart can hold belong to chart −1. Raises `SceneError` when the charts do not fit.
+    """
+    if resolution < 4:
+        raise SceneError(f"a lightmap of {resolution} texels a side is too small; use at least 4")
+    flaw = _flaw_of_own_atlas(scene, resolution)
+    if flaw is None:
+        corner_uv, chart = np.asarray(scene.mesh.uv, float), _components(scene)
+        _log.info("%s: keeps its own texture coordinates as atlas", scene.name)
+    else:
+        corner_uv, chart = _pack(*_parametrise(scene), resolution, scene.name)
+        _log.info("%s: unwrapped into %d charts, because %s", scene.name, chart.max() + 1, flaw)
+    lost = int(np.sum(chart == _NO_CHART))
+    if lost:
+        _log.warning("%s: %d faces of zero area in the atlas receive no light", scene.name, lost)
+    texel, _, _ = rasterise(corner_uv, chart >= 0, resolution)
+    return Lightmap(resolution, texel, corner_uv, chart)
+
+
+def lightmap_points(scene: Scene, lightmap: Lightmap) -> SurfacePoints:
+    """The surface point of each receiver, in the order of `lightmap.texel`.
+
+    It is the point at the texel's centre, or, where a triangle only overlaps the texel's edge, the point of that triangle
+    nearest to the centre, drawn in from the border by a fraction of a texel so that no point lies in a crease.
+    """
+    texel, face, barycentric = rasterise(lightmap.corner_uv, lightmap.chart >= 0, lightmap.resolution)
+    if not np.array_equal(texel, lightmap.texel):
+        raise SceneError(f"the lightmap was not made for scene '{scene.name}'; unwrap the scene again")
+    return surface_points(scene, face, barycentric)
+
+
+def surface_points(scene: Scene, face: Int[np.ndarray, " P"], barycentric: Float[np.ndarray, "P 3"]) -> SurfacePoints:
+    """Points given by face and barycentric coordinates, with their geometric normals and albedo."""
+    position = np.einsum("pc,pcd->pd", barycentric, scene.mesh.triangles[face])
+    return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
+
+
+@dataclass(frozen=True)
+class TexelLookup:
+    """From a hit to a receiver.
+
+    `receiver` [resolution²]: index of the texel's receiver, or of the nearest one within `PADDING` texels, −1 elsewhere.
+    `receiver_chart` [T] and `face_chart` [F]: a lookup that ends in another chart than the face's is a leak.
+    """
+
+    resolution: int
+    receiver: Int[np.ndarray, " texels"]
+    receiver_chart: Int[np.ndarray, " T"]
+    face_chart: Int[np.ndarray, " F"]
+    corner_uv: Float[np.ndarray, "F 3 2"]
+
+    def __call__(
+        self,
+        face: Int[np.ndarray, " n"],
+        u: Float[np.ndarray, " n"],
+        v: Float[np.ndarray, " n"],
+        jitter: Float[np.ndarray, "n 2"] | float = 0.0,
+    ) -> Int[np.ndarray, " n"]:
+        """Receivers hit at barycentric (1 − u − v, u, v) of `face`, −1 for faces without a chart.
+
+        `jitter`, in texels from −½ to ½, spreads a hit over its neighbours as bilinear interpolation does; where that
+        would leave the chart it is not applied.
+        """
+        origin, along_u, along_v = self._affine
+        texel = origin[face] + u[:, None] * along_u[face] + v[:, None] * along_v[face]
+        receiver = self._at(texel + np.asarray(jitter, np.float32))
+        strayed = np.flatnonzero((receiver < 0) | (self.receiver_chart[receiver] != self.face_chart[face]))
+        home = self._at(texel[strayed])
+        home[(home < 0) | (self.receiver_chart[home] != self.face_chart[face[strayed]])] = -1
+        receiver[strayed] = home
+        return receiver
+
+    @property
+    def _affine(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        corners = (self.corner_uv * self.resolution).astype(np.float32)
+        return corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+
+    def _at(self, texel: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+        column, row = np.clip(texel.astype(np.int32), 0, self.resolution - 1).T
+        return self.receiver[row * self.resolution + column]
+
+
+def texel_lookup(lightmap: Lightmap) -> TexelLookup:
+    """Tables that resolve hits to receivers without leaking from chart to chart."""
+    side = lightmap.resolution
+    covered = np.full(side * side, -1, np.int32)
+    covered[lightmap.texel] = np.arange(len(lightmap.texel), dtype=np.int32)
+    grid = covered.reshape(side, side)
+    distance, (row, column) = distance_transform_edt(grid < 0, return_indices=True)
+    receiver = np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)
+    _, face, _ = rasterise(lightmap.corner_uv, lightmap.chart >= 0, side)
+    return TexelLookup(side, receiver, lightmap.chart[face], lightmap.chart, lightmap.corner_uv)
+
+
+def _flaw_of_own_atlas(scene: Scene, resolution: int) -> str | None:
+    """Why the scene's texture coordinates cannot serve as lightmap, or None when they can."""
+    uv = scene.mesh.uv
+    if uv is None:
+        return "it has no texture coordinates"
+    if not (np.all(np.isfinite(uv)) and uv.min() >= 0 and uv.max() <= 1):
+        return "its texture coordinates leave [0, 1]"
+    edge_a, edge_b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    if np.any(np.abs(edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]) * resolution**2 < 1e-6):
+        return "some faces have no area in texture space"
+    if overlaps(uv, _components(scene), resolution):
+        return f"its texture coordinates overlap at {resolution}² texels"
+    return None
+
+
+def _components(scene: Scene) -> Int[np.ndarray, " F"]:
+    """Charts of the scene's own coordinates: faces joined over edges that coincide in space and in texture."""
+    corners = np.concatenate([scene.mesh.triangles, scene.mesh.uv], axis=2).reshape(-1, 5)
+    _, corner = np.unique(corners, axis=0, return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    edges = np.sort(np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    _, edge = np.unique(edges, axis=0, return_inverse=True)
+    face = np.repeat(np.arange(len(corner)), 3)
+    incidence = coo_array((np.ones(len(face), bool), (face, edge.reshape(-1)))).tocsr()
+    return connected_components(incidence @ incidence.T, directed=False)[1]
+
+
+def _parametrise(scene: Scene) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
+    """Charts by xatlas, in metres, laid out side by side. Materials and reverse sides never share a chart."""
+    mesh = scene.mesh
+    reverse = reverse_of(mesh)
+    second = (reverse >= 0) & (reverse < np.arange(len(mesh.faces)))
+    groups = [np.flatnonzero(mesh.material * 2 + second == key) for key in np.unique(mesh.material * 2 + second)]
+    atlas = xatlas.Atlas()
+    for group in groups:
+        atlas.add_mesh(mesh.vertices.astype(np.float32), mesh.faces[group].astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.padding = 1
+    atlas.generate(xatlas.ChartOptions(), options)
+    corner_uv = np.zeros((len(mesh.faces), 3, 2))
+    held = np.zeros(len(mesh.faces), bool)
+    for index, group in enumerate(groups):
+        _, faces, uv = atlas.get_mesh(index)
+        sheet, _ = atlas.get_mesh_vertex_assignment(index)
+        corner_uv[group] = (uv * (atlas.width, atlas.height) / atlas.texels_per_unit)[faces]
+        held[group] = (sheet[faces].astype(np.int32) >= 0).all(axis=1)
+    return corner_uv, held
+
+
+def _pack(
+    corner_uv: Float[np.ndarray, "F 3 2"], held: np.ndarray, resolution: int, name: str
+) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
+    """Place charts into the unit square at the largest common scale that fits, by bisection over texels per metre."""
+    flat = corner_uv[held].reshape(-1, 2)
+    vertices, faces = np.unique(flat.astype(np.float32), axis=0, return_inverse=True)
+    faces = faces.reshape(-1, 3).astype(np.uint32)
+    side = np.sqrt(_areas(corner_uv[held]).sum())
+    low, high, best = np.log(0.05 * resolution / side), np.log(resolution / side), None
+    for _ in range(_FIT_STEPS):
+        density = np.exp(low if best is None else 0.5 * (low + high))
+        packed = _try_packing(vertices, faces, resolution, density)
+        if packed is not None:
+            best, low = packed, np.log(density)
+        elif best is None:
+            break
+        else:
+            high = np.log(density)
+    if best is None:
+        raise SceneError(f"the charts of '{name}' do not fit a lightmap of {resolution}² texels; ask for more texels")
+    out_uv, out_chart = np.zeros_like(corner_uv), np.full(len(corner_uv), _NO_CHART, np.int32)
+    out_uv[held], out_chart[held] = best
+    return out_uv, out_chart
+
+
+def _try_packing(
+    vertices: np.ndarray, faces: np.ndarray, resolution: int, density: float
+) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]] | None:
+    """Coordinates and chart of every face when all charts fit one square at this density, else None."""
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(vertices, faces)
+    options = xatlas.PackOptions()
+    options.resolution, options.texels_per_unit, options.padding = resolution, density, PADDING
+    atlas.generate(xatlas.ChartOptions(), options)
+    if atlas.atlas_count != 1:
+        return None
+    _, placed, uv = atlas.get_mesh(0)
+    corner_uv = uv.astype(float)[placed]
+    # xatlas shrinks a chart that is larger than the square; all charts are to have one scale.
+    scale = _areas(corner_uv).sum() * resolution**2 / (_areas(vertices[faces].astype(float)).sum() * density**2)
+    if scale < 0.97:
+        return None
+    _, chart = atlas.get_mesh_vertex_assignment(0)
+    return corner_uv, chart[placed[:, 0]].astype(np.int32)
+
+
+def _areas(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
