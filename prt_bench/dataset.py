@@ -50,7 +50,7 @@ class Transport:
             read_points(group, "receivers"),
             read_points(group, "samples"),
             group["receiver_hits"],
-            group["sample_hits"],
+            group[str(group.attrs["sample_hits"])],
             int(group.attrs["bounces"]),
             str(group.attrs["key"]),
         )

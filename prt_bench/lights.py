@@ -240,38 +240,35 @@ def irradiance(
 ) -> Float[Array, "P 3"]:
     """Irradiance [P, 3] in W/m² from Q emitters at P points.
 
-    I f(c) max(n·ω, 0) / (r² + r_s²) for points, E max(n·ω, 0) for directions, summed over visible emitters. Differentiable
-    in emitters, positions and normals; finite at contact because of the source radius r_s.
+    `strength` times intensity, summed over visible emitters. Differentiable in emitters, positions and normals; finite at
+    contact because of the source radius r_s.
     """
-    direction, distance_squared = towards(emitters, position)
-    incidence = jnp.maximum(jnp.einsum("pqd,pd->pq", direction, normal), 0.0)
-    strength = incidence * attenuation(emitters, direction, distance_squared)
+    weight = strength(emitters, position, normal)
     if visibility is not None:
-        strength = strength * visibility
-    return jnp.einsum("pq,qc->pc", strength, emitters.intensity, precision="highest")
+        weight = weight * visibility
+    return jnp.einsum("pq,qc->pc", weight, emitters.intensity, precision="highest")
 
 
-def towards(
-    emitters: Emitters, position: Float[Array, "P 3"]
-) -> tuple[Float[Array, "P Q 3"], Float[Array, "P Q"]]:
-    """Unit directions from points to emitters and squared distances (1 for emitters at infinity)."""
+def strength(
+    emitters: Emitters, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]
+) -> Float[Array, "P Q"]:
+    """Unoccluded irradiance per unit of intensity, for each point and emitter.
+
+    f(c) max(n·ω, 0) / (r² + r_s²) for points and max(n·ω, 0) for directions, with the angular profile
+    f(c) = smoothstep(outer, inner, c) · (1 or Lambert's max(c, 0)) of the cosine c to the emission axis.
+    """
     w = emitters.position[:, 3]
     offset = emitters.position[None, :, :3] - position[:, None, :] * w[None, :, None]
     distance_squared = jnp.sum(offset**2, axis=-1)
     safe = jnp.maximum(distance_squared, jnp.finfo(distance_squared.dtype).tiny * 1e6)
-    return offset / jnp.sqrt(safe)[..., None], distance_squared
+    direction = offset / jnp.sqrt(safe)[..., None]
+    incidence = jnp.maximum(jnp.einsum("pqd,pd->pq", direction, normal), 0.0)
 
-
-def attenuation(
-    emitters: Emitters, direction: Float[Array, "P Q 3"], distance_squared: Float[Array, "P Q"]
-) -> Float[Array, "P Q"]:
-    """Angular profile over squared distance, per point and emitter."""
     outer, inner, lambert, radius_squared = jnp.moveaxis(emitters.profile, -1, 0)
     cosine = -jnp.einsum("pqd,qd->pq", direction, emitters.axis)
     t = jnp.clip((cosine - outer) / jnp.maximum(inner - outer, 1e-6), 0.0, 1.0)
     profile = t * t * (3.0 - 2.0 * t) * (1.0 + lambert * (jnp.maximum(cosine, 0.0) - 1.0))
-    w = emitters.position[:, 3]
-    return profile / jnp.where(w > 0, distance_squared + radius_squared, 1.0)
+    return incidence * profile / jnp.where(w > 0, distance_squared + radius_squared, 1.0)
 
 
 def rotation_matrix(axis_angle: Float[Array, "3"]) -> Float[Array, "3 3"]:

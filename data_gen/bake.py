@@ -1,0 +1,294 @@
+"""The bake: plan → trace once → light → dataset.
+
+Two stores result, both named by a hash of everything they depend on: the transport (geometry and rays, shared by all
+scenarios of a scene) and the dataset (lightings). Each is written chunk by chunk and resumes after an interruption to the
+same bits.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Sequence
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from data_gen.atlas import lightmap_points, unwrap
+from data_gen.gather import HitResolver, trace_hits
+from data_gen.hemisphere import HemisphereSampler
+from data_gen.journal import resumable
+from data_gen.light import LightPass
+from data_gen.plan import Plan, plan
+from data_gen.sampling import measurement_points
+from data_gen.scenarios import check_lightings, sample_lightings
+from data_gen.tracer import Tracer
+from prt_bench.dataset import LightingDataset, Transport
+from prt_bench.errors import SpecError
+from prt_bench.lights import EnvironmentLight, Lighting, emitters
+from prt_bench.progress import say, track
+from prt_bench.scene import Scene
+from prt_bench.store import FORMAT, write_array, write_lightmap, write_points, write_scene
+from prt_bench.transport import tail_bounds
+
+CHUNK = 1 << 14
+"""Receivers that are traced, lit and stored together."""
+HELD_OUT_LEAST = 16
+_VERSION = 1  # raise when the same inputs would give other numbers
+
+
+def bake(
+    scene: Scene,
+    scenario: str = "spot",
+    lightings: int = 128,
+    texels: int = 128,
+    rays: int = 256,
+    measurements: int = 256,
+    seed: int = 0,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    supersampling: int = 8,
+    ood: Sequence[str] = (),
+    tolerance: float = 1e-4,
+    gather_texels: int | None = None,
+) -> LightingDataset:
+    """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
+
+    `texels`: side of the square lightmap; `lightings`: training lightings, with a quarter as many (at least 16) held out as
+    "test" and 16 for each out-of-scenario split "ood-<name>" in `ood`; `rays` per point; `measurements` points, each the
+    mean of `supersampling` samples. `out` is the folder for both stores (default: `data_folder()`). Equal arguments give
+    equal hashes for any number of `workers`, and an existing dataset is opened instead of baked.
+
+    Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
+    """
+    started = time.perf_counter()
+    settings = plan(
+        scene, scenario, lightings, texels, rays, measurements, supersampling, tolerance, gather_texels, tuple(ood), workers
+    )
+    folder = Path(out) if out is not None else data_folder()
+    tracer = Tracer(scene, workers)
+    transport = trace(scene, settings, seed, folder, tracer)
+    traced = time.perf_counter()
+
+    about = {
+        "version": _VERSION,
+        "transport": transport.key,
+        "scenario": scenario,
+        "lightings": lightings,
+        "measurements": measurements,
+        "supersampling": supersampling,
+        "ood": list(ood),
+        "tolerance": tolerance,
+        "seed": seed,
+    }
+    path = folder / f"dataset-{scene.name}-{scenario}-{_key(about)}.zarr"
+    if path.is_dir():
+        return LightingDataset.open(path)
+
+    lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
+    points = measurement_points(scene, measurements, supersampling, seed)
+    light = LightPass(transport, tracer, emitters(lights), settings)
+    columns = len(lights) * light.channels
+    with resumable(path, int(1.1 * 4 * len(transport.receivers) * columns * 2.25)) as (partial, journal):
+        group = zarr.open_group(partial, mode="a")
+        arrays = _create(group, light, splits["train"][1], len(transport.receivers))
+        chunks = [slice(at, at + CHUNK) for at in range(0, len(transport.receivers), CHUNK)]
+        missing = [(i, rows) for i, rows in enumerate(chunks) if i not in journal.done]
+        light.prepare()
+        for index, rows in track(missing, f"light {scene.name} ({scenario})"):
+            result = light.receive(rows)
+            held_out = result.half[splits["train"][1] :]
+            for name, values in (("direct", result.direct), ("indirect", result.indirect), ("indirect_half", held_out)):
+                arrays[name][:, rows] = values
+            digest = hashlib.sha256(result.direct.tobytes() + result.indirect.tobytes()).hexdigest()
+            journal.add(index, digest=digest, squares=result.squares.tolist())
+        squares = np.sum([journal.done[i]["squares"] for i in range(len(chunks))], axis=0)
+        measured = light.measured(*points[1:])
+        digests = [journal.done[i]["digest"] for i in range(len(chunks))]
+        for name, values in (("measured", measured), ("noise", _relative(squares)), ("groups", points[2])):
+            write_array(group, name, values)
+        write_points(group, "measurement_points", points[0])
+        write_points(group, "dense_points", points[1])
+        _write_lightings(group, lights)
+        metadata = {
+            **about,
+            "scene": scene.name,
+            "transport": f"transport-{scene.name}-{transport.key}.zarr",
+            "splits": splits,
+            "held_out": splits["train"][1],
+            "channels": light.channels,
+            "texels": texels,
+            "gather_texels": settings.gather_texels,
+            "rays": rays,
+            "bounces": transport.bounces,
+            "effects": list(settings.effects),
+            "plan": settings.to_json(),
+            "predicted": vars(settings.cost),
+            "seconds": {"trace": traced - started, "light": time.perf_counter() - traced},
+            "hash": hashlib.sha256(("".join(digests) + _digest(measured)).encode()).hexdigest(),
+        }
+        group.attrs.update({"kind": "dataset", "format": FORMAT, "metadata": json.dumps(metadata)})
+    say(f"baked {scene.name} ({scenario}): {len(lights)} lightings in {time.perf_counter() - started:.1f} s")
+    return LightingDataset.open(path)
+
+
+def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer) -> Transport:
+    """Trace the hit tables of a scene once, or open them when they are there already."""
+    about = {
+        "version": _VERSION,
+        "scene": scene.hash,
+        "texels": settings.texels,
+        "gather_texels": settings.gather_texels,
+        "rays": settings.rays,
+        "tolerance": settings.tolerance,
+        "effects": settings.effects,
+        "seed": seed,
+    }
+    path = folder / f"transport-{scene.name}-{_key(about)}.zarr"
+    if path.is_dir():
+        return Transport.open(path)
+    lightmap = unwrap(scene, settings.texels)
+    receivers = lightmap_points(scene, lightmap)
+    shared = settings.gather_texels == settings.texels
+    gather_map = lightmap if shared else unwrap(scene, settings.gather_texels)
+    samples = receivers if shared else lightmap_points(scene, gather_map)
+    resolver = HitResolver.create(gather_map, samples)
+    sampler = HemisphereSampler.create(settings.rays, seed)
+    index_type = np.uint16 if len(samples) < 2**16 - 1 else np.int32
+
+    tables = [("receiver_hits", receivers)] + ([] if shared else [("sample_hits", samples)])
+    chunks = [(name, points, slice(at, at + CHUNK)) for name, points in tables for at in range(0, len(points), CHUNK)]
+    needed = sum(len(points) for _, points in tables) * settings.rays * index_type().itemsize
+    with resumable(path, int(1.1 * needed)) as (partial, journal):
+        group = zarr.open_group(partial, mode="a")
+        for name, points in tables:
+            shape, chunk = (len(points), settings.rays), (min(CHUNK, len(points)), settings.rays)
+            _create_array(group, name, shape, chunk, index_type)
+        missing = [(index, chunk) for index, chunk in enumerate(chunks) if index not in journal.done]
+        for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
+            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start).astype(index_type)
+            journal.add(index)
+        write_scene(group, scene)
+        write_lightmap(group, "lightmap", lightmap)
+        write_points(group, "receivers", receivers)
+        write_points(group, "samples", samples)
+        sample_hits = "receiver_hits" if shared else "sample_hits"
+        traced = Transport(scene, lightmap, receivers, samples, group["receiver_hits"], group[sample_hits], 0, "")
+        group.attrs.update(
+            {
+                "kind": "transport",
+                "format": FORMAT,
+                "key": _key(about),
+                "sample_hits": sample_hits,
+                "bounces": _needed_bounces(traced, settings),
+            }
+        )
+    return Transport.open(path)
+
+
+def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | None = None) -> LightingDataset:
+    """Light a baked scene anew: a dataset in memory with direct and indirect light of `lightings`, as its "test" split.
+
+    Uses the traced operator; only shadow rays are traced. Raises `LightError` for lights inside the geometry.
+    """
+    lights = tuple(lightings)
+    if not lights:
+        raise SpecError("there is no lighting to light the scene with; give at least one prt.Lighting")
+    tracer = Tracer(ds.scene, workers)
+    check_lightings(ds.scene, lights, tracer)
+    settings = plan(ds.scene, texels=ds.metadata["texels"], rays=ds.metadata["rays"], tolerance=ds.metadata["tolerance"])
+    passes = LightPass(ds.transport, tracer, emitters(lights), settings)
+    passes.prepare()
+    parts = [passes.receive(slice(at, at + CHUNK)) for at in range(0, len(ds.points), CHUNK)]
+    arrays = {
+        "measured": passes.measured(ds.dense_points, ds.groups),
+        "direct": np.concatenate([part.direct for part in parts], axis=1),
+        "indirect": np.concatenate([part.indirect for part in parts], axis=1),
+        "indirect_half": np.concatenate([part.half for part in parts], axis=1),
+        "noise": _relative(np.sum([part.squares for part in parts], axis=0)),
+    }
+    digest = _digest(*(arrays[name] for name in sorted(arrays)))
+    metadata = {**ds.metadata, "scenario": "custom", "held_out": 0, "channels": passes.channels, "hash": digest}
+    splits = {"test": (0, len(lights))}
+    return LightingDataset(
+        ds.transport, ds.measurement_points, ds.dense_points, ds.groups, lights, arrays, splits, metadata, (0, len(lights))
+    )
+
+
+def data_folder() -> Path:
+    """Where datasets go unless told otherwise: $PRT_BENCH_DATA, or prt-bench in the user's cache folder."""
+    chosen = os.environ.get("PRT_BENCH_DATA")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return Path(chosen) if chosen else cache / "prt-bench"
+
+
+def _draw(
+    scene: Scene, scenario: str, count: int, ood: Sequence[str], seed: int, tracer: Tracer
+) -> tuple[tuple[Lighting, ...], dict[str, tuple[int, int]]]:
+    """Training, test and out-of-scenario lightings in one sequence, and where each split lies in it."""
+    wanted = [("train", scenario, count, seed), ("test", scenario, max(HELD_OUT_LEAST, ceil(count / 4)), seed + 1)]
+    wanted += [(f"ood-{name}", name, HELD_OUT_LEAST, seed + 1) for name in ood]
+    lights: list[Lighting] = []
+    splits = {}
+    for split, kind, number, split_seed in wanted:
+        splits[split] = (len(lights), len(lights) + number)
+        lights += sample_lightings(scene, kind, number, split_seed, tracer)
+    return tuple(lights), splits
+
+
+def _needed_bounces(transport: Transport, settings: Plan) -> int:
+    """The planner's bound, lowered to what the traced operator needs for the same tolerance."""
+    albedo = transport.samples.albedo.astype(np.float32)
+    bounds = tail_bounds(transport.sample_gather(), albedo, settings.bounces)
+    enough = np.flatnonzero(bounds <= settings.tolerance)
+    if not enough.size and settings.bounces < 2:
+        return settings.bounces
+    if not enough.size:
+        raise SpecError(
+            f"{settings.bounces} bounces leave up to {bounds[-1]:.2g} of the light in '{transport.scene.name}';"
+            " lower the largest albedo or raise the tolerance"
+        )
+    return int(enough[0]) + 1
+
+
+def _create(group: zarr.Group, light: LightPass, training: int, receivers: int) -> dict[str, zarr.Array]:
+    count, channels = len(light), light.channels
+    rows = {"direct": count, "indirect": count, "indirect_half": count - training}
+    return {
+        name: _create_array(group, name, (n, receivers, channels), (n, min(CHUNK, receivers), channels), np.float32)
+        for name, n in rows.items()
+    }
+
+
+def _create_array(group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: type) -> Any:
+    if name in group:
+        return group[name]
+    return group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, compressors=None)
+
+
+def _write_lightings(group: zarr.Group, lights: Sequence[Lighting]) -> None:
+    maps = {part.map.hash: part.map for item in lights for part in item.lights if isinstance(part, EnvironmentLight)}
+    for index, environment in enumerate(maps.values()):
+        write_array(group.require_group("environments"), str(index), environment.radiance)
+        group["environments"][str(index)].attrs["name"] = environment.name
+    group.attrs["lightings"] = json.dumps([[part.to_json() for part in item.lights] for item in lights])
+
+
+def _relative(squares: np.ndarray) -> np.ndarray:
+    """Noise over signal per lighting from sums of squares; 0 for a black lighting."""
+    noise, signal = squares
+    return np.sqrt(np.divide(noise, signal, out=np.zeros_like(noise), where=signal > 0))
+
+
+def _key(about: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _digest(*arrays: np.ndarray) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,54 @@
+"""Direct light with shadow rays: irradiance at points from many lightings."""
+
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from data_gen.tracer import Tracer
+from prt_bench.lights import Emitters, strength
+from prt_bench.points import SurfacePoints
+
+
+def direct_irradiance(
+    tracer: Tracer, points: SurfacePoints, emitters: Emitters, shadow_rays: bool = True
+) -> Float[np.ndarray, "N P 3"]:
+    """Irradiance [N, P, 3] in W/m² at `points` from each of N lightings, float32.
+
+    Emitters that cannot reach a point (behind it, outside the cone, dark) cost no ray; `shadow_rays=False` skips the rest
+    too, where the planner has shown that nothing can occlude.
+    """
+    position = np.asarray(points.position, np.float32)
+    normal = np.asarray(points.normal, np.float32)
+    origins = position + np.float32(tracer.offset) * normal
+    out = np.empty((emitters.position.shape[0], len(points), 3), np.float32)
+    single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), emitters)
+    for index in range(len(out)):
+        lit = jax.tree.map(lambda leaf, i=index: leaf[i], single)
+        weight = np.array(_strength(lit, position, normal))
+        if shadow_rays:
+            _remove_shadowed(weight, tracer, origins, lit)
+        out[index] = weight @ lit.intensity
+    return out
+
+
+def _remove_shadowed(
+    weight: Float[np.ndarray, "P Q"], tracer: Tracer, origins: Float[np.ndarray, "P 3"], emitters: Emitters
+) -> None:
+    """Set the weight of occluded pairs to zero, in place."""
+    bright = np.asarray(emitters.intensity).max(axis=1) > 0
+    point, emitter = np.nonzero((weight > 0) & bright)
+    place = np.asarray(emitters.position)[emitter]
+    at_infinity = place[:, 3:] == 0
+    start = origins[point]
+    # Short of the light by the offset, so that a lamp resting on a surface is not hidden by it.
+    segment = np.where(at_infinity, place[:, :3] * np.float32(tracer.reach), place[:, :3] - start)
+    length = np.linalg.norm(segment, axis=1, keepdims=True)
+    segment *= np.maximum(1.0 - tracer.offset / np.maximum(length, np.float32(tracer.offset)), 0.0)
+    hidden = tracer.occluded(start, segment)
+    weight[point[hidden], emitter[hidden]] = 0.0
+
+
+@jax.jit
+def _strength(emitters: Emitters, position: Array, normal: Array) -> Array:
+    return strength(emitters, position, normal)

@@ -1,0 +1,68 @@
+"""Long writes that survive an interruption: a store is filled under a `.partial` name, chunk by chunk, with a journal of
+what is done, and takes its final name only when it is whole."""
+
+import errno
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from prt_bench.errors import DatasetError
+
+
+class Journal:
+    """One JSON line per finished chunk beside the store. A torn last line is a chunk that was not finished."""
+
+    def __init__(self, partial: Path) -> None:
+        self._file = partial / "journal.jsonl"
+        self.done: dict[int, dict[str, Any]] = {}
+        if self._file.is_file():
+            for line in self._file.read_text(encoding="utf-8").splitlines():
+                try:
+                    entry = json.loads(line)
+                except ValueError:
+                    break
+                self.done[entry.pop("chunk")] = entry
+            self._rewrite()
+
+    def add(self, chunk: int, **entry: Any) -> None:
+        """Record that a chunk is on disk."""
+        self.done[chunk] = entry
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"chunk": chunk, **entry}) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _rewrite(self) -> None:
+        text = "".join(json.dumps({"chunk": chunk, **entry}) + "\n" for chunk, entry in self.done.items())
+        self._file.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def resumable(path: Path, needed_bytes: int) -> Iterator[tuple[Path, Journal]]:
+    """A partial folder and its journal; on a clean exit the folder becomes `path`.
+
+    Raises `DatasetError` before anything is written when the disk cannot hold `needed_bytes`, and when it fills up on the
+    way; what was finished stays under the partial name and the next run goes on from there.
+    """
+    partial = path.with_name(path.name + ".partial")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(path.parent).free
+    if free < needed_bytes:
+        raise DatasetError(
+            f"the disk of {path.parent} has {free / 1e9:.2f} GB free, but the bake needs {needed_bytes / 1e9:.2f} GB;"
+            " free some space or lower texels or lightings"
+        )
+    try:
+        partial.mkdir(exist_ok=True)
+        journal = Journal(partial)
+        yield partial, journal
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise DatasetError(f"the disk of {path.parent} is full; free some space and run again to resume") from error
+        raise
+    (partial / "journal.jsonl").unlink(missing_ok=True)
+    partial.rename(path)

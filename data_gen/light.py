@@ -1,0 +1,72 @@
+"""Lighting a traced scene: direct light by shadow rays, indirect light by the operator, for all lightings at once."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from data_gen.direct import direct_irradiance
+from data_gen.plan import Plan
+from data_gen.tracer import Tracer
+from prt_bench.dataset import Transport
+from prt_bench.lights import Emitters
+from prt_bench.points import SurfacePoints
+from prt_bench.transport import final_gather, radiosity
+
+
+@dataclass(frozen=True)
+class Received:
+    """Light at some receivers: direct and indirect irradiance, the estimate from the first half of the rays, and per
+    lighting the sums of squares of (noise, signal) that make the noise floor."""
+
+    direct: Float[np.ndarray, "N P C"]
+    indirect: Float[np.ndarray, "N P C"]
+    half: Float[np.ndarray, "N P C"]
+    squares: Float[np.ndarray, "2 N"]
+
+
+class LightPass:
+    """N lightings on one traced scene. `prepare` bounces light between the gather samples; `receive` then serves any range
+    of receivers. Both halves of the rays bounce light on their own; their mean is the estimate, half their difference the
+    noise."""
+
+    def __init__(self, transport: Transport, tracer: Tracer, emitters: Emitters, settings: Plan) -> None:
+        self.transport = transport
+        self.tracer = tracer
+        self.emitters = emitters
+        self.shadow_rays = settings.needs_shadow_rays(transport.scene, emitters)
+        white = bool(np.all(np.ptp(np.asarray(emitters.intensity), axis=-1) == 0))
+        self.channels = 1 if settings.channels == 1 and white else 3
+        self._halves: list[Float[Array, "S N C"]] = []
+
+    def __len__(self) -> int:
+        return self.emitters.position.shape[0]
+
+    def prepare(self) -> None:
+        """Direct light at the gather samples and all bounces but the last."""
+        samples = self.transport.samples
+        albedo = jnp.asarray(samples.albedo[:, : self.channels], jnp.float32)
+        direct = jnp.asarray(self._direct(samples))
+        bounces = self.transport.bounces - 1
+        self._halves = [
+            radiosity(self.transport.sample_gather(half), albedo, direct, bounces).block_until_ready() for half in (0, 1)
+        ]
+
+    def receive(self, rows: slice) -> Received:
+        """Direct and indirect light at the receivers `rows`."""
+        direct = self._direct(self.transport.receivers[rows])
+        first, second = (
+            np.asarray(final_gather(self.transport.receiver_gather(rows, half), self._halves[half])) for half in (0, 1)
+        )
+        mean = 0.5 * (first + second)
+        noise = np.sum((0.5 * (first - second)).astype(np.float64) ** 2, axis=(1, 2))
+        return Received(direct, mean, first, np.stack([noise, np.sum(mean.astype(np.float64) ** 2, axis=(1, 2))]))
+
+    def measured(self, dense: SurfacePoints, groups: Int[np.ndarray, "M s"]) -> Float[np.ndarray, "N M C"]:
+        """Direct light at the measurement points: the mean over each group of dense points."""
+        return self._direct(dense)[:, groups].mean(axis=2)
+
+    def _direct(self, points: SurfacePoints) -> Float[np.ndarray, "N P C"]:
+        lit = direct_irradiance(self.tracer, points, self.emitters, self.shadow_rays)
+        return np.ascontiguousarray(lit[..., : self.channels])
