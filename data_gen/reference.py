@@ -256,7 +256,7 @@ def _(light: EnvironmentLight, point: np.ndarray, rng: Generator) -> _Arrival:
     azimuth = 2.0 * np.pi * ((column + rng.random(len(point))) / width - 0.5)
     ring = np.sqrt(np.maximum(1.0 - y**2, 0.0))
     direction = np.stack([ring * np.sin(azimuth), y, -ring * np.cos(azimuth)], axis=1)
-    turned = Rotation.from_rotvec(np.asarray(light.rotation)).apply(direction)
+    turned = Rotation.from_rotvec(light.rotation.tolist()).apply(direction)
     return _Arrival(turned, np.full(len(point), np.inf), irradiance[texel])
 
 

@@ -1,7 +1,7 @@
 """The project's scenes in mitsuba: indirect irradiance at surface points from a third party's path tracer.
 
-Needs LLVM 17 or newer. Point and directional lights only: mitsuba's area lights are geometry that casts shadows, its spots
-and environments use other interpolations.
+Needs LLVM 17 or newer. Point and directional lights only: mitsuba's area lights are geometry that casts shadows, its
+spots and environments use other interpolations.
 """
 
 import ctypes.util
