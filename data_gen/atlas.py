@@ -1,11 +1,10 @@
 """Lightmaps: the atlas that unwraps a scene, the surface point of every texel, and the texel of every hit.
 
-Charts come from xatlas, or from the scene's own texture coordinates where those are a valid atlas. A texel is covered when
-its square overlaps a triangle, so every chart has receivers and a hit always finds one.
+Charts come from xatlas, or from the scene's own texture coordinates where those are a valid atlas. A texel is covered
+when its square overlaps a triangle, so every chart has receivers and a hit always finds one.
 """
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 import xatlas
@@ -14,7 +13,6 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from data_gen.geometry import reverse_of
 from data_gen.raster import overlaps, rasterise
 from prt_bench.errors import SceneError
 from prt_bench.points import Lightmap, SurfacePoints
@@ -53,8 +51,8 @@ def unwrap(scene: Scene, resolution: int) -> Lightmap:
 def lightmap_points(scene: Scene, lightmap: Lightmap) -> SurfacePoints:
     """The surface point of each receiver, in the order of `lightmap.texel`.
 
-    It is the point at the texel's centre, or, where a triangle only overlaps the texel's edge, the point of that triangle
-    nearest to the centre, drawn in from the border by a fraction of a texel so that no point lies in a crease.
+    It is the point at the texel's centre, or, where a triangle only overlaps the texel's edge, the point of that
+    triangle nearest to the centre, drawn in from the border by a fraction of a texel so that no point lies in a crease.
     """
     texel, face, barycentric = rasterise(lightmap.corner_uv, lightmap.chart >= 0, lightmap.resolution)
     if not np.array_equal(texel, lightmap.texel):
@@ -68,61 +66,18 @@ def surface_points(scene: Scene, face: Int[np.ndarray, " P"], barycentric: Float
     return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
 
 
-@dataclass(frozen=True)
-class TexelLookup:
-    """From a hit to a receiver.
+def texel_lookup(lightmap: Lightmap) -> Int[np.ndarray, " texels"]:
+    """For every texel of the square the index of its receiver, or of the nearest one within `PADDING`, else −1.
 
-    `receiver` [resolution²]: index of the texel's receiver, or of the nearest one within `PADDING` texels, −1 elsewhere.
-    `receiver_chart` [T] and `face_chart` [F]: a lookup that ends in another chart than the face's is a leak.
+    The margin serves lookups that are jittered by up to half a texel. A receiver whose chart is not that of the face hit
+    (`lightmap.chart`) is a leak, which the caller refuses.
     """
-
-    resolution: int
-    receiver: Int[np.ndarray, " texels"]
-    receiver_chart: Int[np.ndarray, " T"]
-    face_chart: Int[np.ndarray, " F"]
-    corner_uv: Float[np.ndarray, "F 3 2"]
-
-    def __call__(
-        self,
-        face: Int[np.ndarray, " n"],
-        u: Float[np.ndarray, " n"],
-        v: Float[np.ndarray, " n"],
-        jitter: Float[np.ndarray, "n 2"] | float = 0.0,
-    ) -> Int[np.ndarray, " n"]:
-        """Receivers hit at barycentric (1 − u − v, u, v) of `face`, −1 for faces without a chart.
-
-        `jitter`, in texels from −½ to ½, spreads a hit over its neighbours as bilinear interpolation does; where that
-        would leave the chart it is not applied.
-        """
-        origin, along_u, along_v = self._affine
-        texel = origin[face] + u[:, None] * along_u[face] + v[:, None] * along_v[face]
-        receiver = self._at(texel + np.asarray(jitter, np.float32))
-        strayed = np.flatnonzero((receiver < 0) | (self.receiver_chart[receiver] != self.face_chart[face]))
-        home = self._at(texel[strayed])
-        home[(home < 0) | (self.receiver_chart[home] != self.face_chart[face[strayed]])] = -1
-        receiver[strayed] = home
-        return receiver
-
-    @property
-    def _affine(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        corners = (self.corner_uv * self.resolution).astype(np.float32)
-        return corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-
-    def _at(self, texel: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
-        column, row = np.clip(texel.astype(np.int32), 0, self.resolution - 1).T
-        return self.receiver[row * self.resolution + column]
-
-
-def texel_lookup(lightmap: Lightmap) -> TexelLookup:
-    """Tables that resolve hits to receivers without leaking from chart to chart."""
     side = lightmap.resolution
     covered = np.full(side * side, -1, np.int32)
     covered[lightmap.texel] = np.arange(len(lightmap.texel), dtype=np.int32)
     grid = covered.reshape(side, side)
     distance, (row, column) = distance_transform_edt(grid < 0, return_indices=True)
-    receiver = np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)
-    _, face, _ = rasterise(lightmap.corner_uv, lightmap.chart >= 0, side)
-    return TexelLookup(side, receiver, lightmap.chart[face], lightmap.chart, lightmap.corner_uv)
+    return np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)
 
 
 def _flaw_of_own_atlas(scene: Scene, resolution: int) -> str | None:
@@ -153,11 +108,9 @@ def _components(scene: Scene) -> Int[np.ndarray, " F"]:
 
 
 def _parametrise(scene: Scene) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
-    """Charts by xatlas, in metres, laid out side by side. Materials and reverse sides never share a chart."""
+    """Charts by xatlas, in metres, laid out side by side, and which faces have a place. No chart spans two materials."""
     mesh = scene.mesh
-    reverse = reverse_of(mesh)
-    second = (reverse >= 0) & (reverse < np.arange(len(mesh.faces)))
-    groups = [np.flatnonzero(mesh.material * 2 + second == key) for key in np.unique(mesh.material * 2 + second)]
+    groups = [np.flatnonzero(mesh.material == index) for index in np.unique(mesh.material)]
     atlas = xatlas.Atlas()
     for group in groups:
         atlas.add_mesh(mesh.vertices.astype(np.float32), mesh.faces[group].astype(np.uint32))
@@ -207,6 +160,7 @@ def _try_packing(
     atlas.add_uv_mesh(vertices, faces)
     options = xatlas.PackOptions()
     options.resolution, options.texels_per_unit, options.padding = resolution, density, PADDING
+    options.bruteForce = resolution <= 512  # slow on larger squares, and gains nothing there
     atlas.generate(xatlas.ChartOptions(), options)
     if atlas.atlas_count != 1:
         return None

@@ -75,7 +75,7 @@ def _overlapping(
 
 
 def _touches(corners: Float[np.ndarray, "n 3 2"]) -> Bool[np.ndarray, " n"]:
-    """Separating-axis test of triangles against the unit square about the origin (its own axes are the bounding box)."""
+    """Separating-axis test of triangles against the unit square about the origin (its own axes: the bounding box)."""
     edge = np.roll(corners, -1, axis=1) - corners
     normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1)
     projected = np.einsum("ned,ncd->nec", normal, corners)
