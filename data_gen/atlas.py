@@ -5,6 +5,7 @@ when its square overlaps a triangle, so every chart has receivers and a hit alwa
 """
 
 import logging
+from dataclasses import dataclass
 
 import numpy as np
 import xatlas
@@ -66,18 +67,60 @@ def surface_points(scene: Scene, face: Int[np.ndarray, " P"], barycentric: Float
     return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
 
 
-def texel_lookup(lightmap: Lightmap) -> Int[np.ndarray, " texels"]:
-    """For every texel of the square the index of its receiver, or of the nearest one within `PADDING`, else −1.
+@dataclass(frozen=True)
+class TexelLookup:
+    """From a ray's hit to the receiver it lands on, never in another chart than the one that was hit.
 
-    The margin serves lookups that are jittered by up to half a texel. A receiver whose chart is not that of the face hit
-    (`lightmap.chart`) is a leak, which the caller refuses.
+    `receiver` [resolution²]: the texel's receiver, or the nearest one within `PADDING` texels, else −1.
+    `receiver_chart` [T + 1] (the last entry, which −1 finds, is no chart) and `face_chart` [F].
+    `corner` [F, 6]: per face, in texels, where its first corner lies and the edges from there to the other two.
     """
+
+    resolution: int
+    receiver: Int[np.ndarray, " texels"]
+    receiver_chart: Int[np.ndarray, " T1"]
+    face_chart: Int[np.ndarray, " F"]
+    corner: Float[np.ndarray, "F 6"]
+
+    def __call__(
+        self,
+        face: Int[np.ndarray, " n"],
+        u: Float[np.ndarray, " n"],
+        v: Float[np.ndarray, " n"],
+        jitter: Float[np.ndarray, "n 2"],
+    ) -> Int[np.ndarray, " n"]:
+        """Receivers hit at barycentrics (1 − u − v, u, v) of faces; −1 for a face without a chart, and for face −1.
+
+        `jitter`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart.
+        """
+        corner = self.corner[face]
+        s = corner[:, 0] + u * corner[:, 2] + v * corner[:, 4]
+        t = corner[:, 1] + u * corner[:, 3] + v * corner[:, 5]
+        receiver = self._nearest(s + jitter[:, 0], t + jitter[:, 1])
+        chart = self.face_chart[face]
+        strayed = np.flatnonzero(self.receiver_chart[receiver] != chart)
+        home = self._nearest(s[strayed], t[strayed])
+        receiver[strayed] = np.where(self.receiver_chart[home] == chart[strayed], home, -1)
+        receiver[face < 0] = -1
+        return receiver
+
+    def _nearest(self, s: Float[np.ndarray, " n"], t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        last = self.resolution - 1
+        row, column = np.clip(t.astype(np.int32), 0, last), np.clip(s.astype(np.int32), 0, last)
+        return self.receiver[row * self.resolution + column]
+
+
+def texel_lookup(lightmap: Lightmap, points: SurfacePoints) -> TexelLookup:
+    """Tables that resolve hits to `points`, the receivers of a lightmap."""
     side = lightmap.resolution
     covered = np.full(side * side, -1, np.int32)
     covered[lightmap.texel] = np.arange(len(lightmap.texel), dtype=np.int32)
     grid = covered.reshape(side, side)
     distance, (row, column) = distance_transform_edt(grid < 0, return_indices=True)
-    return np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)
+    receiver = np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)
+    uv = lightmap.corner_uv * side
+    corner = np.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], axis=1).astype(np.float32)
+    return TexelLookup(side, receiver, np.append(lightmap.chart[points.face], -2), lightmap.chart, corner)
 
 
 def _flaw_of_own_atlas(scene: Scene, resolution: int) -> str | None:
@@ -108,7 +151,7 @@ def _components(scene: Scene) -> Int[np.ndarray, " F"]:
 
 
 def _parametrise(scene: Scene) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
-    """Charts by xatlas, in metres, laid out side by side, and which faces have a place. No chart spans two materials."""
+    """Charts by xatlas, in metres, side by side, and which faces have one. No chart spans two materials."""
     mesh = scene.mesh
     groups = [np.flatnonzero(mesh.material == index) for index in np.unique(mesh.material)]
     atlas = xatlas.Atlas()

@@ -14,6 +14,8 @@ from prt_bench.scene import Material, Mesh
 
 DEGENERATE_ASPECT = 1e-10
 """A triangle is degenerate when twice its area is below this fraction of its longest edge squared."""
+SIDE_GAP = 2.0**-16
+"""Distance between the two sides of a sheet, relative to the extent: above float32 rounding, below ray offsets."""
 
 
 @dataclass(frozen=True)
@@ -96,30 +98,35 @@ def repair(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     return kept, (f"dropped {dropped} degenerate triangle{'s' * (dropped > 1)} of {len(mesh.faces)}",)
 
 
-def with_reverse_sides(mesh: Mesh, materials: Sequence[Material]) -> Mesh:
-    """Append a copy with reversed winding of every face whose material is two-sided, so that both sides get texels.
+def with_both_sides(mesh: Mesh, materials: Sequence[Material]) -> Mesh:
+    """Give every face of a two-sided material a copy with reversed winding, so that both sides get texels.
 
-    The copies have vertices of their own. Faces that have a reverse already are left alone.
+    The reverse, added or found in the mesh, is moved along its normal by `SIDE_GAP` of the extent: a ray then meets the
+    side that faces it first, where coincident faces would leave the choice to rounding.
     """
-    wanted = np.array([material.two_sided for material in materials])[mesh.material] & (reverse_of(mesh) < 0)
-    if not wanted.any():
-        return mesh
-    used, inverse = np.unique(mesh.faces[wanted], return_inverse=True)
-    reverse = inverse.reshape(-1, 3)[:, ::-1] + len(mesh.vertices)
-    return Mesh(
-        vertices=np.concatenate([mesh.vertices, mesh.vertices[used]]),
-        faces=np.concatenate([mesh.faces, reverse]),
+    two_sided = np.array([material.two_sided for material in materials])[mesh.material]
+    wanted = np.flatnonzero(two_sided & (_reverse_of(mesh) < 0))
+    doubled = Mesh(
+        vertices=mesh.vertices,
+        faces=np.concatenate([mesh.faces, mesh.faces[wanted][:, ::-1]]),
         material=np.concatenate([mesh.material, mesh.material[wanted]]),
         uv=None if mesh.uv is None else np.concatenate([mesh.uv, mesh.uv[wanted][:, ::-1]]),
     )
+    reverse = _reverse_of(doubled)
+    behind = np.flatnonzero((reverse >= 0) & (reverse < np.arange(len(reverse))))
+    used, corner = np.unique(doubled.faces[behind], return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    normal = np.zeros((len(used), 3))
+    np.add.at(normal, corner, doubled.normals[behind][:, None])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    gap = SIDE_GAP * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    faces = doubled.faces.copy()
+    faces[behind] = corner + len(mesh.vertices)
+    return replace(doubled, vertices=np.concatenate([mesh.vertices, mesh.vertices[used] + gap * normal]), faces=faces)
 
 
-def reverse_of(mesh: Mesh) -> Int[np.ndarray, " F"]:
-    """For each face, the face that covers the same triangle seen from behind, or −1.
-
-    A ray that meets such a pair reports either face: whoever resolves the hit takes the one that faces the ray.
-    Barycentrics are to be mapped by position, not copied; of several coincident reverses the first counts.
-    """
+def _reverse_of(mesh: Mesh) -> Int[np.ndarray, " F"]:
+    """For each face, the first face that covers the same triangle seen from behind, or −1."""
     _, position = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = position.reshape(-1)[mesh.faces]
     # Rotate each face so that its lowest corner leads: the winding is then the order of the other two.
