@@ -1,0 +1,227 @@
+"""The `prt-bench` command. Every mistake a user can mend ends in one sentence on standard error and exit status 2."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+import prt_bench as prt
+from prt_bench.errors import PrtBenchError, SpecError
+
+_out = Console()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    args = _parser().parse_args(arguments)
+    try:
+        args.run(args)
+    except PrtBenchError as error:
+        print(f"prt-bench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("prt-bench: interrupted; run the same command again to go on from here", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _run(args: argparse.Namespace) -> None:
+    from prt_bench.records import read
+    from prt_bench.report.console import leaderboard
+    from prt_bench.run import run
+
+    folder = run(args.spec, args.out)
+    _out.print(leaderboard(read(folder / "records.jsonl")))
+    _out.print(f"report: {folder / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+def _plan(args: argparse.Namespace) -> None:
+    print(prt.plan(prt.load_scene(args.scene), args.scenario, **_bake_settings(args)).table())
+
+
+def _bake(args: argparse.Namespace) -> None:
+    ds = prt.bake(
+        prt.load_scene(args.scene), args.scenario, seed=args.seed, out=args.out, workers=args.workers, **_bake_settings(args)
+    )
+    spent, predicted = ds.metadata["seconds"], ds.metadata["predicted"]
+    print(f"{ds.path}\nhash {ds.hash}\nnoise floor {ds.split('test').noise_floor:.2%} (test)")
+    print(f"{sum(spent.values()):.1f} s ({predicted['seconds']:.1f} s predicted), {ds.metadata['bounces']} bounces")
+
+
+def _fit(args: argparse.Namespace) -> None:
+    ds = prt.LightingDataset.open(args.dataset)
+    model = prt.method(args.method, **_settings(args.set)).fit(ds.split("train"))
+    asset = model.export(args.out, args.storage)
+    print(f"{asset.path}: {sum(asset.bytes.values())} bytes, sha256 {asset.sha256}")
+
+
+def _evaluate(args: argparse.Namespace) -> None:
+    asset = prt.load_asset(args.asset)
+    record = prt.evaluate(asset, prt.LightingDataset.open(args.dataset).split(args.split))
+    for name, value in asdict(record.errors).items():
+        if value is not None:
+            print(f"{name:<16} {value:.6g}")
+
+
+def _time(args: argparse.Namespace) -> None:
+    from prt_bench.frames import time_assets
+    from prt_bench.spec import TimeSpec
+
+    ds = prt.LightingDataset.open(args.dataset)
+    assets = {str(path): prt.load_asset(path) for path in args.assets}
+    for name, timings in time_assets(ds, assets, TimeSpec(rounds=args.rounds)).items():
+        for timing in timings:
+            print(f"{name}  {timing.api} on {timing.device} ({timing.clock} clock)")
+            for stage, figure in timing.stages.items():
+                print(f"  {stage:<12} {figure.median:10.4f} ms  IQR {figure.iqr:.4f}  over {figure.rounds} rounds")
+
+
+def _report(args: argparse.Namespace) -> None:
+    from prt_bench.report import write_leaderboard, write_report
+
+    write_leaderboard(args.folder)
+    print(write_report(args.folder))
+
+
+def _compare(args: argparse.Namespace) -> None:
+    from prt_bench.report.query import compare_table
+
+    _out.print(compare_table(args.records, args.a, args.b))
+
+
+def _best(args: argparse.Namespace) -> None:
+    from prt_bench.report.query import best_table
+
+    _out.print(best_table(args.records, args.within))
+
+
+def _scenes(_: argparse.Namespace) -> None:
+    from data_gen.scenes import summary
+
+    for name in prt.scenes():
+        print(f"{name:<14} {summary(name)}")
+
+
+def _methods(_: argparse.Namespace) -> None:
+    for name, kind in prt.methods().items():
+        print(f"{name:<16} {kind.role:<8} {kind.summary}")
+
+
+def _check_method(args: argparse.Namespace) -> None:
+    from prt_bench.contract import check
+
+    failed = 0
+    for result in check(prt.method(args.name, **_settings(args.set))):
+        failed += not result.passed
+        print(f"{'ok    ' if result.passed else 'FAILED'} {result.name}  {result.detail}")
+    if failed:
+        raise SpecError(f"method '{args.name}' fails {failed} checks of the contract")
+
+
+def _doctor(_: argparse.Namespace) -> None:
+    from prt_bench.doctor import print_report
+
+    print_report()
+
+
+def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
+    names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels")
+    return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood)}
+
+
+def _settings(pairs: Sequence[str]) -> dict[str, Any]:
+    """KEY=VALUE words; values are read as TOML."""
+    import tomllib
+
+    settings = {}
+    for pair in pairs:
+        key, separator, text = pair.partition("=")
+        if not separator or not key.strip():
+            raise SpecError(f"setting '{pair}' is not KEY=VALUE")
+        try:
+            settings[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            settings[key.strip()] = text
+    return settings
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="prt-bench", description="What accurate indirect light costs in real time.")
+    parser.add_argument("--version", action="version", version=prt.__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run: Any, text: str) -> argparse.ArgumentParser:
+        made = commands.add_parser(name, help=text, description=text)
+        made.set_defaults(run=run)
+        return made
+
+    run = command("run", _run, "bake, fit, evaluate, time and report: the main job")
+    run.add_argument("spec", type=Path, metavar="SPEC.toml")
+    run.add_argument("--out", type=Path, help="output folder (default: runs/NAME)")
+
+    _bake_options(command("plan", _plan, "what a scene calls for, why, and at what cost"))
+    made = command("bake", _bake, "trace a scene once and light it")
+    _bake_options(made)
+    made.add_argument("--seed", type=int, default=0)
+    made.add_argument("--out", type=Path, help="folder for the stores (default: $PRT_BENCH_DATA or the user's cache)")
+    made.add_argument("--workers", type=int, help="threads (default: one per core)")
+
+    made = command("fit", _fit, "fit a method to a dataset and export it")
+    made.add_argument("dataset", type=Path)
+    made.add_argument("method")
+    made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method")
+    made.add_argument("--storage", default="float32", choices=("float32", "float16"))
+    made.add_argument("--out", type=Path, required=True, help="folder of the asset")
+
+    made = command("evaluate", _evaluate, "errors of an asset on held-out lightings")
+    made.add_argument("asset", type=Path)
+    made.add_argument("dataset", type=Path)
+    made.add_argument("--split", default="test")
+
+    made = command("time", _time, "time assets in the runtime and in JAX, interleaved")
+    made.add_argument("dataset", type=Path)
+    made.add_argument("assets", type=Path, nargs="+", metavar="ASSET")
+    made.add_argument("--rounds", type=int, default=7)
+
+    made = command("report", _report, "write leaderboard and report from a run's records")
+    made.add_argument("folder", type=Path)
+    for name, run_command, text in (
+        ("compare", _compare, "two methods side by side"),
+        ("best", _best, "the most accurate rows within a budget"),
+    ):
+        made = command(name, run_command, text)
+        if name == "compare":
+            made.add_argument("a", metavar="A")
+            made.add_argument("b", metavar="B")
+        else:
+            made.add_argument("--within", required=True, metavar="BUDGET", help="0.5ms, 2MB or 10s")
+        made.add_argument("--records", type=Path, default=Path("runs/quickstart"), help="a run's folder or records file")
+
+    command("scenes", _scenes, "built-in scenes")
+    command("methods", _methods, "transfer methods that are installed")
+    made = command("check-method", _check_method, "run the contract tests on a method")
+    made.add_argument("name", metavar="NAME")
+    made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method")
+    command("doctor", _doctor, "what this machine offers, and what is missing for what")
+    return parser
+
+
+def _bake_options(made: argparse.ArgumentParser) -> None:
+    made.add_argument("scene", help="a built-in scene, or a .glb .gltf .obj .ply .stl or .toml file")
+    made.add_argument("--scenario", default="spot")
+    for name, default in (("lightings", 128), ("texels", 128), ("rays", 256), ("measurements", 256), ("supersampling", 8)):
+        made.add_argument(f"--{name}", type=int, default=default)
+    made.add_argument("--tolerance", type=float, default=1e-4)
+    made.add_argument("--gather-texels", type=int)
+    made.add_argument("--ood", action="append", default=[], metavar="SCENARIO", help="another scenario to test on")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
