@@ -12,6 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from prt_bench.errors import FitError
+from prt_bench.linalg import safe_norm
+
 if TYPE_CHECKING:
     from prt_bench.assets import RuntimeAsset
 
@@ -55,6 +58,11 @@ class Model(eqx.Module):
         """Columns whose span holds every prediction, for the projection error; None when the model has none."""
         return None
 
+    @property
+    def spectrum(self) -> Float[Array, " n"] | None:
+        """Singular values of the light it was fitted to, descending; None when none were computed. They are not shipped."""
+        return None
+
     def export(self, path: str | Path, dtype: str = "float32") -> "RuntimeAsset":
         """Write the weights as a runtime asset, the basis in `dtype` ("float32" or "float16"), and return it loaded back."""
         from prt_bench.assets import write_asset
@@ -73,12 +81,18 @@ class LinearModel(Model):
 
     basis: Float[Array, "T B"]
     weights: Float[Array, "W B M1"]
+    singular_values: Float[Array, " n"] | None = None
 
     def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B C"]:
         """W [x; ‖x‖] per channel."""
         augmented = jnp.concatenate([x, safe_norm(x, axis=1)], axis=1)
         if self.weights.shape[0] == 1:
             return jnp.einsum("bm,nmc->nbc", self.weights[0], augmented, precision="highest")
+        if self.weights.shape[0] != x.shape[2]:
+            raise FitError(
+                f"the model has a transfer matrix for each of {self.weights.shape[0]} channels, but the light has {x.shape[2]}; "
+                "fit it on a dataset with the same channels"
+            )
         return jnp.einsum("cbm,nmc->nbc", self.weights, augmented, precision="highest")
 
     def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
@@ -93,6 +107,11 @@ class LinearModel(Model):
     def span(self) -> Float[Array, "T B"]:
         """The basis itself."""
         return self.basis
+
+    @property
+    def spectrum(self) -> Float[Array, " n"] | None:
+        """Singular values of the training light."""
+        return self.singular_values
 
 
 class NearestModel(Model):
@@ -123,10 +142,58 @@ class NearestModel(Model):
         return {"basis": np.asarray(self.basis), "directions": np.asarray(self.directions)}
 
 
-def safe_norm(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
-    """Euclidean norm along `axis`, kept as an axis of length 1, with gradient 0 at 0 and no overflow or underflow."""
-    largest = jnp.max(jnp.abs(x), axis=axis, keepdims=True)
-    dark = largest == 0
-    scale = jnp.where(dark, 1.0, largest)
-    squared = jnp.sum((x / scale) ** 2, axis=axis, keepdims=True)
-    return jnp.where(dark, 0.0, scale * jnp.sqrt(jnp.where(dark, 1.0, squared)))
+class ProjectionModel(Model):
+    """Oracle: observes the answer and projects it on an orthonormal basis [T, B]."""
+
+    kernels: ClassVar[dict[str, str]] = {}
+
+    basis: Float[Array, "T B"]
+    singular_values: Float[Array, " n"] | None = None
+
+    def measure(self, ds: Observed) -> Float[Array, "N T C"]:
+        """The indirect light itself."""
+        return jnp.asarray(ds.indirect)
+
+    def transfer(self, x: Float[Array, "N T C"]) -> Float[Array, "N B C"]:
+        """basisᵀ x."""
+        return jnp.einsum("tb,ntc->nbc", self.basis, x, precision="highest")
+
+    def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
+        """basis · u."""
+        return jnp.einsum("tb,nbc->ntc", self.basis, u, precision="highest")
+
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """The basis."""
+        return {"basis": np.asarray(self.basis)}
+
+    @property
+    def span(self) -> Float[Array, "T B"]:
+        """The basis itself."""
+        return self.basis
+
+    @property
+    def spectrum(self) -> Float[Array, " n"] | None:
+        """Singular values of the training light."""
+        return self.singular_values
+
+
+class ReferenceModel(Model):
+    """Oracle: observes the answer from half of the rays and returns it."""
+
+    kernels: ClassVar[dict[str, str]] = {}
+
+    def measure(self, ds: Observed) -> Float[Array, "N T C"]:
+        """Indirect light from the first half of the rays."""
+        return jnp.asarray(ds.indirect_half)
+
+    def transfer(self, x: Float[Array, "N T C"]) -> Float[Array, "N T C"]:
+        """Identity."""
+        return x
+
+    def reconstruct(self, u: Float[Array, "N T C"]) -> Float[Array, "N T C"]:
+        """Identity."""
+        return u
+
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """No weights."""
+        return {}

@@ -1,12 +1,13 @@
 """What a method is: settings, and a fit that turns a dataset into a model."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import jax
 
 from prt_bench.dataset import LightingDataset
+from prt_bench.errors import SpecError
 from prt_bench.models import Model
 
 
@@ -15,7 +16,7 @@ class Method(ABC):
     """A transfer method. Subclasses are final frozen dataclasses whose fields are the settings, one file per method.
 
     `name` is what specs and tables call it, `summary` one line for lists, `citation` a BibTeX key or the equation it
-    comes from, `role` "method", "floor" or "ceiling".
+    comes from, `role` "method", "floor" or "ceiling". Ranges of settings are checked in `__post_init__` with `require`.
     """
 
     name: ClassVar[str]
@@ -25,9 +26,24 @@ class Method(ABC):
 
     @abstractmethod
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> Model:
-        """Fit to the lightings of `ds` (its training split) in float64. `key` seeds methods that draw random numbers."""
+        """Fit to the lightings of `ds` (its training split) in float64. `key` seeds methods that draw random numbers.
+
+        Differentiable in the arrays of `ds` (pass an object whose `measured` and `indirect` are traced).
+        """
 
     @property
     def label(self) -> str:
-        """The name with the settings that tell rows of one table apart."""
-        return self.name
+        """The name with the settings that tell rows of one table apart: the basis size, and whatever is not default."""
+        told = [self.name]
+        for setting in fields(self):
+            value = getattr(self, setting.name)
+            if setting.name == "basis":
+                told.append(f"b{value}")
+            elif value != setting.default:
+                told.append(f"{setting.name}={value:g}" if isinstance(value, float) else f"{setting.name}={value}")
+        return " ".join(told)
+
+    def require(self, condition: bool, setting: str, wanted: str) -> None:
+        """Raise `SpecError` unless `condition` holds: method.setting must be `wanted`."""
+        if not condition:
+            raise SpecError(f"{self.name}: setting '{setting}' must be {wanted}, not {getattr(self, setting)!r}")

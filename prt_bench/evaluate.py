@@ -1,0 +1,122 @@
+"""Accuracy of a fitted model on held-out lightings, as one record: how large the error is and where it comes from.
+
+Errors are those of the asset that ships, loaded back from disk. Timings and rendered frames are added by whoever runs them.
+"""
+
+import tempfile
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from prt_bench.assets import RuntimeAsset
+from prt_bench.dataset import LightingDataset
+from prt_bench.errors import DatasetError
+from prt_bench.linalg import orthonormal
+from prt_bench.methods.base import Method
+from prt_bench.metrics import lightmap_figures, mean, relative_norm, root_mean_square
+from prt_bench.models import Model
+from prt_bench.records import Errors, Record, provenance
+
+_CHUNK_BYTES = 256 * 2**20
+
+
+def evaluate(
+    model: Model,
+    ds: LightingDataset,
+    asset: RuntimeAsset | None = None,
+    method: Method | None = None,
+    label: str | None = None,
+    seconds: dict[str, float] | None = None,
+) -> Record:
+    """Compare a model with the light of `ds`, a split of held-out lightings, and return a record without timings.
+
+    `asset` is what `model.export` returned; without one the model is exported to a temporary folder, as float32. Oracles,
+    which have no asset, are compared directly. `method` fills in the record's name, settings and role; `seconds` joins the
+    dataset's bake time. Raises `DatasetError` for a split without lightings.
+    """
+    if len(ds) == 0:
+        raise DatasetError(f"the split '{split_name(ds)}' of '{ds.scene.name}' has no lightings to evaluate on")
+    if asset is None and model.kernels:
+        with tempfile.TemporaryDirectory() as folder:
+            return evaluate(model, ds, model.export(Path(folder) / "asset"), method, label, seconds)
+    return Record(
+        scene=ds.scene.name,
+        scenario=str(ds.metadata["scenario"]),
+        split=split_name(ds),
+        method=method.name if method else type(model).__name__,
+        label=label or (method.label if method else type(model).__name__),
+        settings=asdict(method) if method else {},
+        role=method.role if method else "method",
+        status="ok" if asset else "oracle",
+        reason=None if asset else "it needs the answer to predict it",
+        errors=errors(model, ds, asset),
+        seconds={"bake": float(sum(ds.metadata.get("seconds", {}).values())), **(seconds or {})},
+        bytes=_sizes(asset) if asset else {},
+        curves={} if model.spectrum is None else {"singular_values": np.asarray(model.spectrum).tolist()},
+        dataset=_about(ds),
+        asset={"sha256": asset.sha256, "dtype": asset.dtype} if asset else {},
+        provenance=provenance(),
+    )
+
+
+def errors(model: Model, ds: LightingDataset, asset: RuntimeAsset | None = None) -> Errors:
+    """All error figures that need neither a renderer nor a clock. Lightings go through in chunks of bounded memory."""
+    columns = (asset.model() if asset else model).span
+    span = None if columns is None else np.asarray(orthonormal(jnp.asarray(columns, jnp.float64)))
+    parts = [_chunk_figures(model, asset, part, span) for part in _chunks(ds)]
+    figures = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Errors(
+        rmse=root_mean_square(np.sqrt(figures["square"])),
+        relative_rmse=root_mean_square(figures["relative"]),
+        psnr=mean(figures["psnr"]),
+        negative_share=mean(figures["negative"]),
+        energy_bias=mean(figures["energy"]),
+        noise_floor=ds.noise_floor,
+        projection=root_mean_square(figures["projection"]) if span is not None else None,
+        coefficient=root_mean_square(figures["coefficient"]) if span is not None else None,
+        storage=root_mean_square(figures["storage"]) if asset else None,
+        black_lightings=int(np.sum(np.isnan(figures["relative"]))),
+    )
+
+
+def split_name(ds: LightingDataset) -> str:
+    """Which split of its dataset `ds` is; "all" when it is the whole."""
+    return next((name for name, rows in ds.splits.items() if tuple(rows) == tuple(ds.rows)), "all")
+
+
+def _chunk_figures(
+    model: Model, asset: RuntimeAsset | None, ds: LightingDataset, span: Float[np.ndarray, "T B"] | None
+) -> dict[str, Float[np.ndarray, " N"]]:
+    reference = np.asarray(ds.indirect, np.float64)
+    full = np.asarray(model.predict(ds), np.float64)
+    prediction = np.asarray(asset.predict(ds), np.float64) if asset else full
+    figures = dict(lightmap_figures(prediction, reference))
+    if asset:
+        figures["storage"] = relative_norm(prediction - full, reference)
+    if span is not None:  # with P the projector on the span: prediction − r = (prediction − P r) − (r − P r), orthogonal
+        best = np.einsum("tb,nbc->ntc", span, np.einsum("tb,ntc->nbc", span, reference, optimize=True), optimize=True)
+        figures["projection"] = relative_norm(reference - best, reference)
+        figures["coefficient"] = relative_norm(prediction - best, reference)
+    return figures
+
+
+def _chunks(ds: LightingDataset) -> list[LightingDataset]:
+    """Consecutive lightings, few enough that their lightmaps in float64 stay within the budget."""
+    first, last = ds.rows
+    channels = ds.measured.shape[2]
+    step = max(1, _CHUNK_BYTES // (8 * len(ds.points) * channels))
+    return [replace(ds, rows=(row, min(row + step, last))) for row in range(first, last, step)]
+
+
+def _sizes(asset: RuntimeAsset) -> dict[str, int]:
+    basis = asset.bytes.get("basis", 0)
+    return {"asset": sum(asset.bytes.values()), "basis": basis, "transfer": sum(asset.bytes.values()) - basis}
+
+
+def _about(ds: LightingDataset) -> dict[str, Any]:
+    keys = ("hash", "texels", "gather_texels", "rays", "bounces", "measurements", "lightings", "channels", "effects", "plan")
+    return {key: ds.metadata[key] for key in keys if key in ds.metadata}

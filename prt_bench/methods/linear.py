@@ -1,0 +1,56 @@
+"""What the linear methods share: regression onto coefficients, and how basis, matrix and mean make a `LinearModel`."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from prt_bench.linalg import cut_gap, relative_damping, ridge, safe_norm
+from prt_bench.models import LinearModel
+
+
+def regress(
+    x: Float[Array, "M n"], coefficients: Float[Array, "B n"], ridge_factor: float | Float[Array, ""], channels: int = 1
+) -> Float[Array, "W B M"]:
+    """Ridge regression from measured light to coefficients: one matrix, or one per channel (columns with the channel fastest)."""
+    return jnp.stack(
+        [
+            ridge(x[:, c::channels], coefficients[:, c::channels], relative_damping(x[:, c::channels], ridge_factor))
+            for c in range(channels)
+        ]
+    )
+
+
+def linear_model(
+    u: Float[Array, "T b"],
+    matrix: Float[Array, "W b M"],
+    centre: tuple[Float[Array, "M 1"], Float[Array, "T 1"]] | None = None,
+    singular_values: Float[Array, " n"] | None = None,
+) -> LinearModel:
+    """y = U W x; with a centre (μ_x, μ_y) of the normalised light, y = ‖x‖ μ_y + U W (x − ‖x‖ μ_x).
+
+    The mean becomes the first basis function, of unit length.
+    """
+    channels, _, measurements = matrix.shape
+    if centre is None:
+        return LinearModel(u, jnp.pad(matrix, ((0, 0), (0, 0), (0, 1))), singular_values)
+    mu_x, mu_y = centre
+    length = safe_norm(mu_y, axis=0)
+    mean_row = jnp.zeros((channels, 1, measurements + 1)).at[:, 0, -1].set(length[0, 0])
+    others = jnp.concatenate([matrix, -jnp.matmul(matrix, mu_x, precision="highest")], axis=2)
+    basis = jnp.concatenate([mu_y / jnp.where(length > 0, length, 1.0), u], axis=1)
+    return LinearModel(basis, jnp.concatenate([mean_row, others], axis=1), singular_values)
+
+
+def warn_of_rank(label: str, model: LinearModel) -> None:
+    """Warn when the data hold fewer directions than were asked for, or when the cut goes through equal singular values."""
+    if model.singular_values is None or isinstance(model.basis, jax.core.Tracer):
+        return
+    empty = int(np.sum(~np.any(np.asarray(model.basis), axis=0)))
+    size = model.basis.shape[1]
+    if empty:
+        warnings.warn(f"{label}: the training light has rank {size - empty}; {empty} basis functions are zero", stacklevel=3)
+    elif cut_gap(model.singular_values, size) < 1e-12:
+        warnings.warn(f"{label}: singular values {size} and {size + 1} are equal, so the basis is arbitrary", stacklevel=3)

@@ -1,0 +1,25 @@
+"""The closest training lighting: what a lookup table of baked lightmaps achieves."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+
+from prt_bench.methods.base import Method
+from prt_bench.methods.examples import normalised, training_light
+from prt_bench.models import NearestModel, Observed
+
+
+@dataclass(frozen=True)
+class Nearest(Method):
+    """The training column whose measured light has the smallest angle to the observed one, scaled by its norm."""
+
+    name: ClassVar[str] = "nearest"
+    summary: ClassVar[str] = "the closest training lighting by measured light, scaled by its norm"
+    citation: ClassVar[str] = "nearest neighbour by angle"
+    role: ClassVar[str] = "floor"
+
+    def fit(self, ds: Observed, key: jax.Array | None = None) -> NearestModel:
+        """Keep the normalised training light as it is."""
+        examples = normalised(*training_light(ds))
+        return NearestModel(examples.y, examples.x.T)
