@@ -1,0 +1,7 @@
+"""The OpenGL runtime: one renderer that runs any asset, measures like the bake, and times what it draws."""
+
+from prt_bench.runtime.context import headless, is_software, renderer
+from prt_bench.runtime.indirect import Indirect, LoadedAsset, PlainLightmap
+from prt_bench.runtime.runtime import Runtime
+
+__all__ = ["Indirect", "LoadedAsset", "PlainLightmap", "Runtime", "headless", "is_software", "renderer"]

@@ -1,0 +1,127 @@
+"""Indirect light as the draw pass reads it: an asset with its three kernels, or a plain lightmap."""
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import moderngl
+import numpy as np
+from jaxtyping import Float
+
+from prt_bench.assets import RuntimeAsset
+from prt_bench.errors import AssetError
+from prt_bench.runtime import shaders
+from prt_bench.runtime.context import check
+from prt_bench.runtime.draw import DrawPass
+from prt_bench.runtime.lights import UploadedLights
+from prt_bench.runtime.transfer import TransferPass
+
+if TYPE_CHECKING:
+    from prt_bench.runtime.runtime import Runtime
+
+_WORKGROUP = 64
+
+
+class Indirect(ABC):
+    """A texture and the kernel that turns it into irradiance. Draw passes are compiled on first use."""
+
+    def __init__(self, runtime: "Runtime", columns: Float[np.ndarray, "T B"], kernel: shaders.Defines) -> None:
+        if len(columns) != runtime.layout.receivers:
+            raise AssetError(
+                f"indirect light for {len(columns)} receivers does not fit this dataset, whose lightmap has"
+                f" {runtime.layout.receivers}; load it with the dataset it was fitted on"
+            )
+        self.runtime = runtime
+        self._kernel = kernel
+        self.texture = runtime.layout.upload(columns)
+
+    @abstractmethod
+    def prepare(self, lights: UploadedLights) -> None:
+        """Passes that come before drawing; shadow maps are there already."""
+
+    def bind(self) -> None:
+        """Bind what `reconstruct.glsl` reads."""
+        self.texture.use(1)
+
+    @property
+    def bytes(self) -> int:
+        """GPU memory in bytes."""
+        layout = self.texture
+        width, height, layers = layout.size
+        return width * height * layers * 4 * int(layout.dtype[1])
+
+    @cached_property
+    def draw_pass(self) -> DrawPass:
+        """Direct and indirect light."""
+        return self.runtime.draw_pass({"DIRECT": 1, "INDIRECT": 1, **self._kernel})
+
+    @cached_property
+    def draw_pass_alone(self) -> DrawPass:
+        """Indirect light alone."""
+        return self.runtime.draw_pass({"INDIRECT": 1, **self._kernel})
+
+    def receiver_values(self) -> Float[np.ndarray, "T 3"]:
+        """Indirect irradiance at the receivers by the draw pass's own reconstruction, W/m²."""
+        layout, context = self.runtime.layout, self.runtime.context
+        texels = context.buffer(layout.texels.astype("<i4").tobytes())
+        values = context.buffer(reserve=16 * layout.receivers)
+        sizes = {"RECEIVERS": layout.receivers, "RESOLUTION": layout.resolution}
+        program = shaders.compute(context, "reconstruct.comp", {**sizes, **self._kernel})
+        self.bind()
+        texels.bind_to_storage_buffer(6)
+        values.bind_to_storage_buffer(7)
+        program.run(-(-layout.receivers // _WORKGROUP))
+        context.memory_barrier()
+        check(context, "reconstructing")
+        return np.frombuffer(values.read(), "<f4").reshape(-1, 4)[:, :3].copy()
+
+
+class PlainLightmap(Indirect):
+    """Irradiance stored per texel: a reference, or a prediction made elsewhere."""
+
+    def __init__(self, runtime: "Runtime", irradiance: Float[np.ndarray, "T 3"]) -> None:
+        super().__init__(runtime, np.asarray(irradiance, np.float32), {"RECONSTRUCT_LIGHTMAP": 1})
+
+    def prepare(self, lights: UploadedLights) -> None:
+        """Nothing: the light is in the texture."""
+
+
+class LoadedAsset(Indirect):
+    """An asset on the GPU: measure → transfer → reconstruct."""
+
+    def __init__(self, runtime: "Runtime", asset: RuntimeAsset) -> None:
+        kernels, basis = asset.kernels, asset.arrays["basis"]
+        if kernels["measure"] != "direct" or kernels["reconstruct"] not in ("basis", "select"):
+            raise AssetError(f"{asset.path} has the kernels {kernels}, which this runtime lacks")
+        define = f"RECONSTRUCT_{kernels['reconstruct'].upper()}"
+        super().__init__(runtime, basis, {define: 1, "LAYERS": -(-basis.shape[1] // 4)})
+        self.asset = asset
+        self.transfer_pass = TransferPass(runtime.context, asset, runtime.measurement)
+        check(runtime.context, f"loading {asset.path}")
+
+    def prepare(self, lights: UploadedLights) -> None:
+        """Measure, then transfer."""
+        self.runtime.measurement.run(lights)
+        self.transfer_pass.run()
+
+    def bind(self) -> None:
+        """Bind basis textures and coefficients."""
+        super().bind()
+        self.transfer_pass.coefficients.bind_to_storage_buffer(5)
+
+    @property
+    def bytes(self) -> int:
+        """GPU memory of basis textures (padded texels included), weights and coefficients."""
+        return super().bytes + self.transfer_pass.bytes
+
+    def transfer(self, x: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "B 3"]:
+        """Coefficients of a measured vector, by the transfer pass."""
+        self.runtime.measurement.write(x)
+        self.transfer_pass.run()
+        check(self.runtime.context, "transferring")
+        return self.transfer_pass.read()
+
+    def predict(self, x: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "T 3"]:
+        """Transfer and reconstruction at the receivers, for comparison with the model, W/m²."""
+        self.transfer(x)
+        return self.receiver_values()

@@ -1,0 +1,49 @@
+"""Lightmap textures: receiver values packed four columns to an RGBA layer, and extended beyond the charts' borders."""
+
+import moderngl
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import distance_transform_edt
+
+from prt_bench.errors import AssetError
+from prt_bench.points import Lightmap
+
+
+class LightmapLayout:
+    """Which receiver fills each texel: its own, or the nearest one, so that bilinear lookups never meet an empty texel."""
+
+    def __init__(self, context: moderngl.Context, lightmap: Lightmap) -> None:
+        self._context = context
+        self.resolution = lightmap.resolution
+        self.receivers = len(lightmap.texel)
+        self.texels = lightmap.texel
+        self._source = nearest_receiver(lightmap)
+
+    def upload(self, columns: Float[np.ndarray, "T B"]) -> moderngl.TextureArray:
+        """Columns as layers of four, in their own precision (float32 or float16)."""
+        layers = -(-columns.shape[1] // 4)
+        most = self._context.info["GL_MAX_ARRAY_TEXTURE_LAYERS"]
+        if layers > most:
+            raise AssetError(f"{columns.shape[1]} basis functions need {layers} texture layers; this GPU has {most}")
+        texture = self._context.texture_array(
+            (self.resolution, self.resolution, layers), 4, dtype="f2" if columns.dtype == np.float16 else "f4"
+        )
+        texture.repeat_x = texture.repeat_y = False
+        block = np.zeros((self.resolution**2, 4), columns.dtype)
+        for layer in range(layers):
+            part = columns[:, 4 * layer : 4 * layer + 4]
+            block[:, : part.shape[1]] = part[self._source]
+            block[:, part.shape[1] :] = 0
+            texture.write(block.tobytes(), viewport=(0, 0, layer, self.resolution, self.resolution, 1))
+        return texture
+
+
+def nearest_receiver(lightmap: Lightmap) -> Int[np.ndarray, " texels"]:
+    """For each texel of the image, row by row, the receiver in it or the one in the nearest covered texel."""
+    side = lightmap.resolution
+    owner = np.full(side * side, -1)
+    owner[lightmap.texel] = np.arange(len(lightmap.texel))
+    rows, columns = distance_transform_edt(
+        owner.reshape(side, side) < 0, return_distances=False, return_indices=True
+    )  # fmt: skip
+    return owner.reshape(side, side)[rows, columns].ravel()

@@ -1,0 +1,52 @@
+"""The scene's mesh on the GPU: one vertex per face corner, sorted by material so that an albedo image is bound once."""
+
+import moderngl
+import numpy as np
+
+from prt_bench.points import Lightmap
+from prt_bench.scene import Material, Scene
+
+
+class MeshBuffers:
+    """Vertex attributes (flat geometric normals, as the transport uses them) and the vertex range of each albedo image."""
+
+    def __init__(self, context: moderngl.Context, scene: Scene, lightmap: Lightmap) -> None:
+        self._context = context
+        mesh, materials = scene.mesh, scene.materials
+        order = np.argsort(mesh.material, kind="stable")
+        owner = mesh.material[order]
+        image_uv = np.zeros((len(order), 3, 2)) if mesh.uv is None else mesh.uv[order]
+        per_corner = {
+            "in_position": mesh.triangles[order],
+            "in_normal": np.repeat(mesh.normals[order][:, None], 3, axis=1),
+            "in_lightmap_uv": lightmap.corner_uv[order],
+            "in_image_uv": image_uv,
+            "in_albedo": np.repeat(np.array([m.albedo for m in materials])[owner][:, None], 3, axis=1),
+        }
+        self._attributes = {
+            name: (context.buffer(np.ascontiguousarray(values, "<f4").tobytes()), f"{values.shape[-1]}f4")
+            for name, values in per_corner.items()
+        }
+        self.vertices = 3 * len(order)
+        self.has_images = any(material.image is not None for material in materials)
+        starts = 3 * np.searchsorted(owner, np.arange(len(materials) + 1))
+        self.ranges = [
+            (int(first), int(last - first), _albedo_texture(context, material))
+            for material, first, last in zip(materials, starts, starts[1:], strict=True)
+            if last > first
+        ] if self.has_images else [(0, self.vertices, None)]  # fmt: skip
+
+    def bound_to(self, program: moderngl.Program) -> moderngl.VertexArray:
+        """A vertex array with the attributes the program uses."""
+        content = [(buffer, layout, name) for name, (buffer, layout) in self._attributes.items() if name in program]
+        return self._context.vertex_array(program, content)
+
+
+def _albedo_texture(context: moderngl.Context, material: Material) -> moderngl.Texture:
+    """The material's image, bottom row first; a white texel where it has none."""
+    image = np.ones((1, 1, 3)) if material.image is None else material.image[::-1]
+    height, width = image.shape[:2]
+    texture = context.texture((width, height), 3, np.ascontiguousarray(image, "<f4").tobytes(), dtype="f4")
+    texture.build_mipmaps()
+    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    return texture

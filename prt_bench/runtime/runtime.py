@@ -1,0 +1,148 @@
+"""The runtime: loads any asset for one baked scene and runs shadow → measure → transfer → draw."""
+
+import moderngl
+import numpy as np
+from jaxtyping import Float
+
+from prt_bench.assets import RuntimeAsset
+from prt_bench.dataset import LightingDataset
+from prt_bench.lights import Lighting
+from prt_bench.runtime import shaders
+from prt_bench.runtime.context import check, headless, is_software, renderer
+from prt_bench.runtime.draw import DrawPass, Screen
+from prt_bench.runtime.indirect import Indirect, LoadedAsset, PlainLightmap
+from prt_bench.runtime.lightmap import LightmapLayout
+from prt_bench.runtime.lights import UploadedLights, upload
+from prt_bench.runtime.measure import MeasurePass
+from prt_bench.runtime.mesh import MeshBuffers
+from prt_bench.runtime.projection import camera_matrix
+from prt_bench.runtime.shadow import ShadowPass
+from prt_bench.scene import Camera
+
+NORMAL_OFFSET = 0.5
+"""How far a point is lifted off its surface before the shadow lookup, in shadow texels."""
+RAY_OFFSET = 2.0**-14
+"""The same, relative to the scene's size: the offset of the bake's shadow rays."""
+
+
+class Runtime:
+    """Everything of a baked scene that does not depend on an asset: mesh, camera, shadow atlas, measurement points.
+
+    `size` is the frame's width and height, `shadow_resolution` the side of the shadow atlas in texels, which all views of
+    a lighting share. Without `shadows`, lookups are compiled out. `camera` is the scene's unless given.
+    Raises `RuntimeUnavailable` where no OpenGL context can be made.
+    """
+
+    def __init__(
+        self,
+        ds: LightingDataset,
+        size: tuple[int, int] = (640, 480),
+        shadow_resolution: int = 2048,
+        shadows: bool = True,
+        camera: Camera | None = None,
+        context: moderngl.Context | None = None,
+    ) -> None:
+        self.context = context or headless()
+        self.scene, self.size, self._shadow_resolution = ds.scene, size, shadow_resolution
+        self.look_from(camera or ds.scene.camera)
+        magnitude = max(float(np.abs(ds.scene.bounds).max()), ds.scene.extent)
+        self._lighting_defines = {
+            "NORMAL_OFFSET": f"{NORMAL_OFFSET:.9g}",
+            "RAY_OFFSET": f"{RAY_OFFSET * magnitude:.9e}",
+            "ATLAS_SIZE": f"{shadow_resolution}.0",
+            **({"SHADOWS": 1} if shadows else {}),
+        }
+        self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap)
+        self.layout = LightmapLayout(self.context, ds.lightmap)
+        self.screen = Screen(self.context, size)
+        self.shadows = ShadowPass(self.context, self.mesh, shadow_resolution, self._lighting_defines)
+        self.measurement = MeasurePass(self.context, ds.dense_points, ds.groups, self._lighting_defines)
+        self._baseline = self.draw_pass({"DIRECT": 1})
+        check(self.context, "loading the scene")
+
+    @property
+    def device(self) -> str:
+        """The renderer's name."""
+        return renderer(self.context)
+
+    @property
+    def software(self) -> bool:
+        """Whether the renderer runs on the CPU."""
+        return is_software(self.device)
+
+    def look_from(self, camera: Camera) -> None:
+        """Draw the following frames from another camera."""
+        self._camera = camera_matrix(camera, self.scene, self.size[0] / self.size[1])
+
+    def light(self, lighting: Lighting) -> UploadedLights:
+        """Upload a lighting. The other calls take the result as well as the lighting itself."""
+        return upload(self.context, lighting, self.scene.bounds, self._shadow_resolution)
+
+    def load(self, asset: RuntimeAsset) -> LoadedAsset:
+        """Upload an asset and compile its passes. Raises `AssetError` when it was fitted on another dataset."""
+        return LoadedAsset(self, asset)
+
+    def lightmap(self, irradiance: Float[np.ndarray, "T 3"]) -> PlainLightmap:
+        """Indirect irradiance given per receiver, for frames of a reference or of any prediction."""
+        return PlainLightmap(self, irradiance)
+
+    def measure(self, lighting: Lighting | UploadedLights) -> Float[np.ndarray, "M 3"]:
+        """The measured vector of a lighting, with shadow maps, W/m²."""
+        lights = self._uploaded(lighting)
+        self.shadows.run(lights)
+        self.measurement.run(lights)
+        check(self.context, "measuring")
+        return self.measurement.read()
+
+    def frame(
+        self, lighting: Lighting | UploadedLights, indirect: Indirect | None = None, direct: bool = True
+    ) -> Float[np.ndarray, "H W 3"]:
+        """Radiance of a frame [H, W, 3], top row first, W/m²/sr: with direct light, `indirect` light, or both.
+
+        Raises `ValueError` for neither.
+        """
+        self.draw(self._uploaded(lighting), indirect, direct)
+        check(self.context, "drawing a frame")
+        return self.screen.read_linear()
+
+    def picture(
+        self,
+        lighting: Lighting | UploadedLights,
+        indirect: Indirect | None = None,
+        direct: bool = True,
+        exposure: float = 0.0,
+    ) -> np.ndarray:
+        """The same frame tone-mapped on the GPU: 8-bit sRGB [H, W, 3] of radiance · 2^exposure."""
+        self.draw(self._uploaded(lighting), indirect, direct, exposure)
+        check(self.context, "drawing a picture")
+        return self.screen.read_picture()
+
+    def draw(
+        self, lights: UploadedLights, indirect: Indirect | None = None, direct: bool = True, exposure: float = 0.0
+    ) -> None:
+        """All passes of one frame, as a user would run them: what `frame` reads back and timing times."""
+        self.shadows.run(lights)
+        if indirect is not None:
+            indirect.prepare(lights)
+        self.shade(lights, indirect, direct, exposure)
+
+    def shade(self, lights: UploadedLights, indirect: Indirect | None, direct: bool, exposure: float) -> None:
+        """The draw pass and the tone map alone, of what the passes before left."""
+        if indirect is not None:
+            indirect.bind()
+            pass_ = indirect.draw_pass if direct else indirect.draw_pass_alone
+        elif direct:
+            pass_ = self._baseline
+        else:
+            raise ValueError("a frame needs direct light, indirect light, or both")
+        lights.bind()
+        self.shadows.bind()
+        pass_.run(self.screen, self._camera, lights)
+        self.screen.tone_map(exposure)
+
+    def draw_pass(self, defines: shaders.Defines) -> DrawPass:
+        """A draw pass of this scene; `defines` choose its effects."""
+        return DrawPass(self.context, self.mesh, {**self._lighting_defines, **defines})
+
+    def _uploaded(self, lighting: Lighting | UploadedLights) -> UploadedLights:
+        return self.light(lighting) if isinstance(lighting, Lighting) else lighting

@@ -1,0 +1,52 @@
+"""GLSL sources: finding the shader folder, resolving `#include`, and compiling effects in or out by `#define`."""
+
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import moderngl
+
+from prt_bench.errors import RuntimeUnavailable
+
+VERSION = "#version 430 core"
+_INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
+
+Defines = Mapping[str, int | str]
+
+
+@lru_cache(maxsize=1)
+def folder() -> Path:
+    """The folder of GLSL files: inside the package when installed from a wheel, beside it in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    for candidate in (package / "shaders", package.parent / "shaders"):
+        if (candidate / "draw.frag").is_file():
+            return candidate
+    raise RuntimeUnavailable(f"the shaders are missing beside {package}; install prt-bench again")
+
+
+def source(name: str, defines: Defines | None = None) -> str:
+    """One shader stage: version, defines, then the file with each include pasted once, where it is first named."""
+    seen: set[str] = set()
+
+    def paste(file: str) -> str:
+        if file in seen:
+            return ""
+        seen.add(file)
+        return _INCLUDE.sub(lambda match: paste(match[1]), (folder() / file).read_text(encoding="utf-8"))
+
+    head = [VERSION, *(f"#define {key} {value}" for key, value in (defines or {}).items())]
+    return "\n".join(head) + "\n" + paste(name)
+
+
+def program(context: moderngl.Context, vertex: str, fragment: str | None, defines: Defines) -> moderngl.Program:
+    """A vertex and fragment program (depth only without a fragment stage)."""
+    return context.program(
+        vertex_shader=source(vertex, defines),
+        fragment_shader=source(fragment, defines) if fragment else None,
+    )
+
+
+def compute(context: moderngl.Context, name: str, defines: Defines) -> moderngl.ComputeShader:
+    """A compute program."""
+    return context.compute_shader(source(name, defines))

@@ -1,0 +1,62 @@
+"""Transfer pass: a few coefficients from the measured vector, by the kernel an asset names."""
+
+import moderngl
+import numpy as np
+from jaxtyping import Float
+
+from prt_bench.assets import RuntimeAsset
+from prt_bench.errors import AssetError
+from prt_bench.runtime import shaders
+from prt_bench.runtime.measure import MeasurePass
+
+_LINEAR_WORKGROUP = 64
+_NEAREST_WORKGROUP = 256
+
+
+class TransferPass:
+    """One asset's transfer. `coefficients` [B padded to a multiple of 4, 4] is what `reconstruct.glsl` reads."""
+
+    def __init__(self, context: moderngl.Context, asset: RuntimeAsset, measure: MeasurePass) -> None:
+        self._context, self._measure = context, measure
+        self.kernel, self.basis = asset.kernels["transfer"], asset.arrays["basis"].shape[1]
+        if self.kernel == "linear":
+            weights = asset.arrays["weights"]
+            file, workgroup, self._workgroups = "linear.comp", _LINEAR_WORKGROUP, self.basis
+            measurements, extra = weights.shape[2] - 1, {"WEIGHT_CHANNELS": weights.shape[0]}
+        elif self.kernel == "nearest":
+            weights = asset.arrays["directions"]
+            file, workgroup, self._workgroups = "nearest.comp", _NEAREST_WORKGROUP, 1
+            measurements, extra = weights.shape[1], {}
+        else:
+            raise AssetError(f"{asset.path} needs the transfer kernel '{self.kernel}', which this runtime lacks")
+        if measurements != measure.count:
+            raise AssetError(
+                f"{asset.path} expects {measurements} measurement points, but the dataset has {measure.count};"
+                " load it with the dataset it was fitted on"
+            )
+        self._weights = context.buffer(np.ascontiguousarray(weights, "<f4").tobytes())
+        self.coefficients = context.buffer(reserve=16 * max(-(-self.basis // 4) * 4, 4))
+        self.coefficients.clear()
+        sizes = {"MEASUREMENTS": measurements, "BASIS": self.basis, "WORKGROUP": workgroup, **extra}
+        self._program = shaders.compute(context, file, sizes)
+
+    @property
+    def bytes(self) -> int:
+        """GPU memory of weights and coefficients."""
+        return self._weights.size + self.coefficients.size
+
+    def run(self) -> None:
+        """Coefficients of whatever was measured last."""
+        self._measure.measured.bind_to_storage_buffer(3)
+        self._weights.bind_to_storage_buffer(4)
+        self.coefficients.bind_to_storage_buffer(5)
+        self._program.run(self._workgroups)
+        self._context.memory_barrier()
+
+    def read(self) -> Float[np.ndarray, "B 3"]:
+        """The coefficients as the model's `transfer` gives them."""
+        stored = np.frombuffer(self.coefficients.read(), "<f4").reshape(-1, 4)[:, :3]
+        if self.kernel == "linear":
+            return stored[: self.basis].copy()
+        norm, choice = stored[:2]
+        return np.where(np.arange(self.basis)[:, None] == choice, norm, 0.0).astype(np.float32)

@@ -1,0 +1,29 @@
+// The mesh from the camera. Without a fragment stage it fills the depth buffer alone.
+in vec3 in_position;
+#ifdef SHADED
+in vec3 in_normal;
+in vec2 in_lightmap_uv;
+in vec2 in_image_uv;
+in vec3 in_albedo;
+
+out vec3 position;
+out vec2 lightmap_uv;
+out vec2 image_uv;
+flat out vec3 normal;
+flat out vec3 albedo;
+#endif
+
+uniform mat4 camera;
+
+invariant gl_Position;
+
+void main() {
+    gl_Position = camera * vec4(in_position, 1.0);
+#ifdef SHADED
+    position = in_position;
+    normal = in_normal;
+    lightmap_uv = in_lightmap_uv;
+    image_uv = in_image_uv;
+    albedo = in_albedo;
+#endif
+}
