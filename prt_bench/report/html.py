@@ -1,0 +1,203 @@
+"""`report.html`: one file that reads offline. Gathers what the page shows from records and pictures.
+
+Frontiers, ranks and ties are computed here, in Python; the page's scripts only draw what they are given.
+"""
+
+import base64
+import hashlib
+import io
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from PIL import Image
+from plotly.offline import get_plotlyjs
+
+from prt_bench import records as record_files
+from prt_bench.errors import DatasetError
+from prt_bench.report.frontier import COST_AXES, ERROR_AXES, METRICS, Row, frontier
+from prt_bench.report.leaderboard import COLUMNS, figure, status, write_text
+from prt_bench.report.pictures import Encoded, encode_within, read_picture
+from prt_bench.report.ranking import TIE_RULE, Group, groups
+
+PICTURE_BUDGET = 7_500_000
+"""Bytes for all embedded HDR pictures together: they shrink until they fit, which keeps the page under 15 MB."""
+
+VIEWS = {"final": ("prediction", "reference"), "indirect": ("indirect", "indirect_reference")}
+ERROR_PARTS = ("noise_floor", "projection", "coefficient", "storage", "runtime")
+
+
+def write_report(run_dir: Path) -> Path:
+    """Write `report.html` from `records.jsonl` and the pictures beside it, whole or not at all; returns its path.
+
+    Raises `DatasetError` when the records or a picture they name cannot be read.
+    """
+    board = groups(record_files.read(run_dir / "records.jsonl"))
+    keys, pictures = _pictures(run_dir, board)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("prt_bench.report"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.globals |= {"figure": figure, "columns": COLUMNS, "static": lambda name: _static(environment, name)}
+    page = environment.get_template("report.html.j2").render(
+        board=board,
+        data=page_data(board, keys),
+        pictures=pictures,
+        plans=_plans(run_dir, board),
+        machines=_machines(board),
+        assets=_assets(board),
+        bands=[(band, len(list(members))) for band, members in itertools.groupby(COLUMNS, lambda column: column.band)],
+        tie_rule=TIE_RULE,
+        plotly=Markup(get_plotlyjs()),
+    )
+    return write_text(run_dir / "report.html", page)
+
+
+def _static(environment: jinja2.Environment, name: str) -> Markup:
+    """A script or style sheet of ours, verbatim."""
+    loader = environment.loader
+    assert loader is not None
+    return Markup(loader.get_source(environment, name)[0])
+
+
+def page_data(board: Sequence[Group], pictures: dict[str, str]) -> dict[str, Any]:
+    """What the scripts draw. `pictures` maps a path of a record to the key of its embedded picture."""
+    return {
+        "metrics": {
+            metric.name: {"label": metric.label, "unit": metric.unit, "log": metric.log} for metric in METRICS.values()
+        },
+        "axes": {"x": COST_AXES, "y": ERROR_AXES},
+        "parts": ERROR_PARTS,
+        "groups": [_group_data(group, pictures) for group in board],
+        "colormap": (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).round().astype(int).tolist(),
+    }
+
+
+def _group_data(group: Group, pictures: dict[str, str]) -> dict[str, Any]:
+    members = [entry.row for entry in group.entries]
+    return {
+        **{name: getattr(group, name) for name in ("scene", "scenario", "split", "device", "title")},
+        "noise": group.noise_floor,
+        "rows": [{**_row_data(entry.row, pictures), "place": entry.place} for entry in group.entries],
+        "frontiers": {
+            f"{x} {y}": frontier(members, METRICS[x], METRICS[y]) for x in COST_AXES for y in ERROR_AXES
+        },
+        "curves": _curves(members),
+    }  # fmt: skip
+
+
+def _row_data(row: Row, pictures: dict[str, str]) -> dict[str, Any]:
+    record = row.record
+    kind = record.status if record.status in ("oracle", "failed", "timeout") else record.role
+    return {
+        "label": record.label,
+        "method": record.method,
+        "kind": kind,
+        "status": status(row),
+        "values": {metric.name: metric.of(row) for metric in METRICS.values()},
+        "shown": {metric.name: figure(metric.name, metric.of(row)) for metric in METRICS.values()},
+        "spread": {metric.name: spread for metric in METRICS.values() if (spread := metric.spread(row)) is not None},
+        "errors": asdict(record.errors),
+        "pictures": {
+            view: [pictures[record.pictures[name]] for name in names]
+            for view, names in VIEWS.items()
+            if all(record.pictures.get(name) in pictures for name in names)
+        },
+    }
+
+
+def _curves(members: Iterable[Row]) -> list[dict[str, Any]]:
+    """Singular values relative to the first; settings of a method that share a curve are drawn once, at its longest."""
+    found: dict[tuple[str, tuple[str, ...]], dict[str, Any]] = {}
+    for row in members:
+        values = row.record.curves.get("singular_values") or []
+        if values and values[0] > 0:
+            relative = [value / values[0] for value in values]
+            key = row.record.method, tuple(f"{value:.6g}" for value in relative[:4])
+            if key not in found or len(found[key]["values"]) < len(relative):
+                found[key] = {"method": row.record.method, "label": row.record.label, "values": relative}
+    return list(found.values())
+
+
+def _pictures(run_dir: Path, board: Iterable[Group]) -> tuple[dict[str, str], dict[str, Encoded]]:
+    """Keys by record path, and encoded pictures by key. Equal files share a key: a reference is embedded once."""
+    wanted = dict.fromkeys(
+        path
+        for group in board
+        for entry in group.entries
+        for name in (name for names in VIEWS.values() for name in names)
+        if (path := entry.row.record.pictures.get(name))
+    )
+    keys = {path: hashlib.sha256(_inside(run_dir, path).read_bytes()).hexdigest()[:16] for path in wanted}
+    images = {key: read_picture(run_dir / path) for path, key in keys.items()}
+    return keys, encode_within(images, PICTURE_BUDGET)
+
+
+def _inside(run_dir: Path, path: str) -> Path:
+    """The path of a picture, which must lie in the run folder."""
+    found = (run_dir / path).resolve()
+    if not found.is_relative_to(run_dir.resolve()) or not found.is_file():
+        raise DatasetError(f"the picture '{path}' that the records of {run_dir} name is not in that folder; run again")
+    return found
+
+
+def _plans(run_dir: Path, board: Iterable[Group]) -> list[dict[str, Any]]:
+    """Per scene and scenario: what the planner decided, and the dataset's settings and hashes."""
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for group in board:
+        for entry in group.entries:
+            record = entry.row.record
+            plan = found.setdefault(
+                (group.scene, group.scenario),
+                {"scene": group.scene, "scenario": group.scenario, "steps": [], "settings": {}, "points": None},
+            )
+            plan["steps"] = plan["steps"] or record.dataset.get("plan") or []
+            plan["settings"] |= {
+                name: value for name, value in record.dataset.items()
+                if name not in ("plan", "effects") and isinstance(value, str | int | float)
+            }  # fmt: skip
+            if plan["points"] is None and (path := record.pictures.get("measurement_points")):
+                plan["points"] = _data_url(_inside(run_dir, path))
+    return list(found.values())
+
+
+def _data_url(path: Path, width: int = 800) -> str:
+    """A PNG as a data URL, shrunk to `width` pixels where it is wider."""
+    with Image.open(path) as image:
+        small = image.convert("RGB")
+    small.thumbnail((width, width))
+    file = io.BytesIO()
+    small.save(file, "PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _machines(board: Iterable[Group]) -> list[dict[str, Any]]:
+    """The distinct provenances of the records (versions, commit, hardware), less their dates, which become a range."""
+    found: dict[str, dict[str, Any]] = {}
+    for group in board:
+        for entry in group.entries:
+            facts = dict(entry.row.record.provenance)
+            date = facts.pop("date", None)
+            packages = facts.pop("packages", {})
+            facts["packages"] = ", ".join(f"{name} {version}" for name, version in packages.items())
+            machine = found.setdefault(repr(facts), {"facts": {k: v for k, v in facts.items() if v}, "dates": set()})
+            machine["dates"] |= {date} if date else set()
+    return [{"dates": sorted(machine["dates"]), "facts": machine["facts"]} for machine in found.values()]
+
+
+def _assets(board: Iterable[Group]) -> list[tuple[str, str, str, str, str]]:
+    """Scene, scenario, label, data type and hash of every asset."""
+    rows = (entry.row.record for group in board for entry in group.entries)
+    return list(
+        dict.fromkeys(
+            (row.scene, row.scenario, row.label, str(row.asset.get("dtype", "")), row.asset["sha256"])
+            for row in rows
+            if "sha256" in row.asset
+        )
+    )
