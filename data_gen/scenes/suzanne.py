@@ -17,7 +17,7 @@ REST_TILT = -35.89
 
 
 def build() -> Scene:
-    """Ground y = 0 and wall x = −1.25; Suzanne 1.86 m wide, looking at +z."""
+    """Ground y = 0 and wall x = −1.1; Suzanne 1.86 m wide, looking at +z."""
     materials = (
         Material("ground", (0.6, 0.6, 0.6)),
         Material("wall", (0.7, 0.16, 0.08)),
@@ -29,8 +29,8 @@ def build() -> Scene:
     )
     figure = tilted.transformed(np.eye(3), (0.0, -tilted.vertices[:, 1].min(), 0.0))
     parts = [
-        quad([(-1.25, 0, 1.5), (1.75, 0, 1.5), (1.75, 0, -1.5), (-1.25, 0, -1.5)], GROUND),
-        quad([(-1.25, 0, 1.5), (-1.25, 0, -1.5), (-1.25, 1.75, -1.5), (-1.25, 1.75, 1.5)], WALL),
+        quad([(-1.1, 0, 1.2), (1.4, 0, 1.2), (1.4, 0, -1.2), (-1.1, 0, -1.2)], GROUND),
+        quad([(-1.1, 0, 1.2), (-1.1, 0, -1.2), (-1.1, 1.3, -1.2), (-1.1, 1.3, 1.2)], WALL),
         figure,
     ]
-    return Scene("suzanne", assemble(parts), materials, Camera((1.6, 1.5, 4.0), (0.0, 0.6, 0.0), fov_y=36.0))
+    return Scene("suzanne", assemble(parts), materials, Camera((1.3, 1.5, 3.6), (0.05, 0.5, 0.0), fov_y=32.0))
