@@ -21,14 +21,18 @@ def direct_irradiance(
     position = np.asarray(points.position, np.float32)
     normal = np.asarray(points.normal, np.float32)
     origins = position + np.float32(tracer.offset) * normal
-    out = np.empty((emitters.position.shape[0], len(points), 3), np.float32)
     single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), emitters)
-    for index in range(len(out)):
-        lit = jax.tree.map(lambda leaf, i=index: leaf[i], single)
+    out = np.empty((len(single.position), len(points), 3), np.float32)
+
+    def light(index: int) -> None:
+        lit = jax.tree.map(lambda leaf: leaf[index], single)
         weight = np.array(_strength(lit, position, normal))
         if shadow_rays:
             _remove_shadowed(weight, tracer, origins, lit)
         out[index] = weight @ lit.intensity
+
+    with tracer.pool() as executor:
+        list(executor.map(light, range(len(out))))
     return out
 
 

@@ -21,7 +21,7 @@ def trace_hits(
 
     A ray that escapes, meets the back of a one-sided surface, or a face without texels holds the number of samples.
     """
-    nothing = np.int32(len(lookup.receiver_chart))
+    nothing = np.int32(lookup.receiver_chart.size - 1)
     rays = sampler.local.shape[1]
     step = max(RAYS_PER_CALL // rays, 1)
     origins = (points.position + tracer.offset * points.normal).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -56,12 +57,9 @@ class LightPass:
     def receive(self, rows: slice) -> Received:
         """Direct and indirect light at the receivers `rows`."""
         direct = self._direct(self.transport.receivers[rows])
-        first, second = (
-            np.asarray(final_gather(self.transport.receiver_gather(rows, half), self._halves[half])) for half in (0, 1)
-        )
-        mean = 0.5 * (first + second)
-        noise = np.sum((0.5 * (first - second)).astype(np.float64) ** 2, axis=(1, 2))
-        return Received(direct, mean, first, np.stack([noise, np.sum(mean.astype(np.float64) ** 2, axis=(1, 2))]))
+        first, second = (final_gather(self.transport.receiver_gather(rows, half), self._halves[half]) for half in (0, 1))
+        mean, squares = _combine(first, second)
+        return Received(direct, np.asarray(mean), np.asarray(first), np.asarray(squares))
 
     def measured(self, dense: SurfacePoints, groups: Int[np.ndarray, "M s"]) -> Float[np.ndarray, "N M C"]:
         """Direct light at the measurement points: the mean over each group of dense points."""
@@ -70,3 +68,10 @@ class LightPass:
     def _direct(self, points: SurfacePoints) -> Float[np.ndarray, "N P C"]:
         lit = direct_irradiance(self.tracer, points, self.emitters, self.shadow_rays)
         return np.ascontiguousarray(lit[..., : self.channels])
+
+
+@jax.jit
+def _combine(first: Array, second: Array) -> tuple[Array, Array]:
+    """The mean of two estimates, and per lighting the sums of squares of half their difference and of the mean."""
+    mean = 0.5 * (first + second)
+    return mean, jnp.stack([jnp.sum(jnp.square(part.astype(float)), axis=(1, 2)) for part in (0.5 * (first - second), mean)])

@@ -43,7 +43,6 @@ class Tracer:
         self.workers = workers or os.cpu_count() or 1
         self.offset = _OFFSET * max(float(np.abs(scene.bounds).max()), scene.extent)
         self.reach = 4.0 * scene.extent
-        self._twin = _twins(scene)
         self._embree = EmbreeScene()
         self._mesh = TriangleMesh(self._embree, np.ascontiguousarray(scene.mesh.triangles, np.float32))
         self.normals = scene.mesh.normals.astype(np.float32)
@@ -61,14 +60,14 @@ class Tracer:
         return Hits(*(np.concatenate([getattr(p, name) for p in parts]) for name in Hits.__dataclass_fields__))
 
     def occluded(self, origins: Float[np.ndarray, "n 3"], segments: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Whether anything lies between each origin and origin + segment, with no offset applied."""
+        """Whether anything lies between each origin and origin + segment, with no offset applied; on the calling thread."""
         origins, segments = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(segments, np.float32)
-
-        def occlusion(part: slice) -> np.ndarray:
-            reach = np.ones(part.stop - part.start, np.float32)
-            return self._embree.run(origins[part], segments[part], reach, query="OCCLUDED") == 0
-
-        return np.concatenate(self._in_parts(len(origins), occlusion))
+        hidden = np.empty(len(origins), bool)
+        for at in range(0, len(origins), RAYS_PER_CALL):
+            part = slice(at, at + RAYS_PER_CALL)
+            reach = np.ones(len(origins[part]), np.float32)
+            hidden[part] = self._embree.run(origins[part], segments[part], reach, query="OCCLUDED") == 0
+        return hidden
 
     def inside(self, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
         """Whether points lie inside solid geometry: most of the surfaces seen from there show their back."""
@@ -88,15 +87,10 @@ class Tracer:
     def nearest(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """`intersect` for one batch of float32 rays on the calling thread."""
         found = self._embree.run(origins, directions, output=True)
-        face, u, v = found["primID"], found["u"], found["v"]
+        face = found["primID"]
         hit = face >= 0
         front = np.einsum("nd,nd->n", self.normals[face], directions) < 0
-        if self._twin is not None:
-            # Of two coincident faces embree reports either; the one that faces the ray is meant.
-            turned = np.flatnonzero(hit & ~front & (self._twin[face] >= 0))
-            face[turned] = self._twin[face[turned]]
-            u[turned], v[turned], front[turned] = v[turned], u[turned], True
-        return Hits(face, u, v, np.where(hit, found["tfar"], np.float32(np.inf)), front & hit)
+        return Hits(face, found["u"], found["v"], np.where(hit, found["tfar"], np.float32(np.inf)), front & hit)
 
     def _in_parts(self, count: int, work: Callable[[slice], Any]) -> list[Any]:
         parts = [slice(at, min(at + RAYS_PER_CALL, count)) for at in range(0, max(count, 1), RAYS_PER_CALL)]
@@ -104,18 +98,6 @@ class Tracer:
             return [work(part) for part in parts]
         with self.pool() as executor:
             return list(executor.map(work, parts))
-
-
-def _twins(scene: Scene) -> Int[np.ndarray, " F"] | None:
-    """For each face of a two-sided surface, the face (0, 2, 1) on its other side; −1 elsewhere, None where there is none."""
-    sides = np.array([material.two_sided for material in scene.materials])[scene.mesh.material]
-    if not sides.any():
-        return None
-    index = {tuple(corners): face for face, corners in zip(np.flatnonzero(sides), scene.mesh.faces[sides], strict=True)}
-    twin = np.full(len(scene.mesh.faces), -1, np.int32)
-    for (a, b, c), face in index.items():
-        twin[face] = index.get((a, c, b), -1)
-    return twin
 
 
 def _sphere_directions(count: int) -> Float[np.ndarray, "n 3"]:
