@@ -33,6 +33,10 @@ class Model(eqx.Module):
     kernels: ClassVar[dict[str, str]]
     """Names of the runtime kernels of the three stages; empty for models that cannot run in real time."""
 
+    def __hash__(self) -> int:
+        """By identity, so that `jax.jit(model.transfer)` takes a stage as it is (Equinox modules hash by content)."""
+        return id(self)
+
     def measure(self, ds: Observed) -> Float[Array, "N M C"]:
         """What is observed of the light at run time: direct irradiance at the measurement points, W/m²."""
         return jnp.asarray(ds.measured)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax
+import jax.numpy as jnp
 
 from prt_bench.methods.base import Method
 from prt_bench.methods.examples import normalised, training_light
@@ -12,7 +13,11 @@ from prt_bench.models import NearestModel, Observed
 
 @dataclass(frozen=True)
 class Nearest(Method):
-    """The training column whose measured light has the smallest angle to the observed one, scaled by its norm."""
+    """The training lighting whose measured light has the smallest angle to the observed one, scaled by its norm.
+
+    Training lightings count with the sum of their channels: a light's channels differ by a factor only where nothing else
+    is lit, and a choice between equals would be left to rounding. Each observed channel chooses for itself.
+    """
 
     name: ClassVar[str] = "nearest"
     summary: ClassVar[str] = "the closest training lighting by measured light, scaled by its norm"
@@ -21,5 +26,5 @@ class Nearest(Method):
 
     def fit(self, ds: Observed, key: jax.Array | None = None) -> NearestModel:
         """Keep the normalised training light as it is."""
-        examples = normalised(*training_light(ds))
+        examples = normalised(*(jnp.sum(light, axis=2, keepdims=True) for light in training_light(ds)))
         return NearestModel(examples.y, examples.x.T)
