@@ -20,7 +20,7 @@ from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
 
 PADDING = 2
-"""Texels between charts: room for lookups half a texel off a chart, on either side."""
+"""Empty texels between charts at least: room for lookups half a texel off a chart, on either side."""
 _FIT_STEPS = 12
 _NO_CHART = -1
 _log = logging.getLogger(__name__)
@@ -202,7 +202,8 @@ def _try_packing(
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(vertices, faces)
     options = xatlas.PackOptions()
-    options.resolution, options.texels_per_unit, options.padding = resolution, density, PADDING
+    options.resolution, options.texels_per_unit = resolution, density
+    options.padding = PADDING // 2  # xatlas pads every chart on all sides
     options.bruteForce = resolution <= 512  # slow on larger squares, and gains nothing there
     atlas.generate(xatlas.ChartOptions(), options)
     if atlas.atlas_count != 1:
