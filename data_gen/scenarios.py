@@ -150,7 +150,7 @@ def _environments(scene: Scene, tracer: Tracer, unit: np.ndarray, grey: bool) ->
         return []
     maps = _normalised_maps(grey)
     which = np.minimum((unit[:, 0] * len(maps)).astype(int), len(maps) - 1)
-    turn = Rotation.from_euler("y", 2.0 * np.pi * unit[:, 1])
+    turn = Rotation.from_rotvec(2.0 * np.pi * unit[:, 1:2] * np.array([0.0, 1.0, 0.0]))
     heading = 2.0 * np.pi * unit[:, 2]
     tilt_axis = np.stack([np.cos(heading), np.zeros_like(heading), np.sin(heading)], axis=1)
     tilt = Rotation.from_rotvec(tilt_axis * np.radians(30.0) * unit[:, 3:4])
