@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import xatlas
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from data_gen.raster import overlaps, rasterise
 from prt_bench.errors import SceneError
@@ -110,11 +111,23 @@ class TexelLookup:
         return self.receiver[row * self.resolution + column]
 
 
-def texel_lookup(lightmap: Lightmap, points: SurfacePoints) -> TexelLookup:
-    """Tables that resolve hits to `points`, the receivers of a lightmap."""
+def texel_lookup(
+    lightmap: Lightmap, points: SurfacePoints, buried: Bool[np.ndarray, " T"] | None = None
+) -> TexelLookup:
+    """Tables that resolve hits to `points`, the receivers of a lightmap.
+
+    Where another body stands on a texel its point may be `buried` in it, and dark, while the rest of the texel is lit:
+    a hit there goes to the nearest receiver of the chart that is not.
+    """
     side = lightmap.resolution
+    receivers = np.arange(len(points), dtype=np.int32)
+    if buried is not None and buried.any() and not buried.all():
+        apart = 4 * side * lightmap.chart[points.face]
+        place = np.stack([lightmap.texel % side, lightmap.texel // side, apart], axis=1)
+        _, nearest = cKDTree(place[~buried]).query(place[buried])
+        receivers[buried] = receivers[~buried][nearest]
     covered = np.full(side * side, -1, np.int32)
-    covered[lightmap.texel] = np.arange(len(lightmap.texel), dtype=np.int32)
+    covered[lightmap.texel] = receivers
     grid = covered.reshape(side, side)
     distance, (row, column) = distance_transform_edt(grid < 0, return_indices=True)
     receiver = np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)

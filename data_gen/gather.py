@@ -6,12 +6,24 @@ interpolated across a seam or through a wall.
 """
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from data_gen.atlas import TexelLookup
 from data_gen.hemisphere import HemisphereSampler
 from data_gen.tracer import RAYS_PER_CALL, Tracer
 from prt_bench.points import SurfacePoints
+
+_PROBES = 16
+"""Rays that tell whether a point is buried."""
+
+
+def buried(tracer: Tracer, points: SurfacePoints, seed: int) -> Bool[np.ndarray, " P"]:
+    """Whether points lie inside another body: most rays from them meet the back of a surface."""
+    directions, _ = HemisphereSampler.create(_PROBES, seed).directions(0, points.normal)
+    origins = np.repeat(points.position + tracer.offset * points.normal, _PROBES, axis=0)
+    hits = tracer.intersect(origins, directions.reshape(-1, 3))
+    back = np.isfinite(hits.distance) & ~hits.front
+    return back.reshape(-1, _PROBES).sum(axis=1) > _PROBES // 2
 
 
 def trace_hits(
