@@ -98,6 +98,17 @@ def repair(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     return kept, (f"dropped {dropped} degenerate triangle{'s' * (dropped > 1)} of {len(mesh.faces)}",)
 
 
+def is_closed(part: Part) -> bool:
+    """Whether the part encloses a volume: every edge belongs to two faces that run along it opposite ways."""
+    _, position = np.unique(part.vertices, axis=0, return_inverse=True)
+    corner = position.reshape(-1)[part.faces]
+    edges = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    forward, count = np.unique(edges, axis=0, return_counts=True)
+    backward = np.unique(edges[:, ::-1], axis=0)
+    return bool(np.all(count == 1)) and np.array_equal(forward, backward)
+
+
 def with_both_sides(mesh: Mesh, materials: Sequence[Material]) -> Mesh:
     """Give every face of a two-sided material a copy with reversed winding, so that both sides get texels.
 

@@ -1,0 +1,123 @@
+"""Scene files: TOML that names a mesh and says how to look at it and what it is made of.
+
+mesh = "teapot.obj"            # beside this file, or an absolute path
+name = "teapot"                # optional, like everything below
+scale = 0.01                   # metres per unit of the mesh
+up = "z"                       # the mesh's vertical axis
+[camera]
+position = [0.0, 1.0, 4.0]
+target = [0.0, 0.5, 0.0]
+fov_y = 40.0
+[materials.lid]
+albedo = [0.6, 0.1, 0.1]       # linear RGB
+two_sided = true
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from data_gen.loader import MeshOptions, read_mesh
+from prt_bench.errors import SceneError
+from prt_bench.scene import Camera, Scene
+
+_KEYS = ("mesh", *(field.name for field in fields(MeshOptions)))
+_CAMERA_KEYS = tuple(field.name for field in fields(Camera))
+_MATERIAL_KEYS = ("albedo", "two_sided")
+_UP = ("x", "y", "z")
+
+
+def read_scene_file(path: Path) -> Scene:
+    """Read a scene file and its mesh. Raises `SceneError` for an unknown key or impossible value, naming it."""
+    if not path.is_file():
+        raise SceneError(f"scene file {path} does not exist")
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"scene file {path} is not valid TOML: {error}") from error
+    _check_keys(data, _KEYS, path, "")
+    if not isinstance(data.get("mesh"), str):
+        raise SceneError(f'scene file {path} names no mesh; add mesh = "FILE"')
+    options = MeshOptions(
+        name=data.get("name", path.stem),
+        scale=_scale(data, path),
+        up=_up(data, path),
+        camera=_camera(_table(data, "camera", path), path) if "camera" in data else None,
+        materials={
+            name: _material(_table(_table(data, "materials", path), name, path), name, path)
+            for name in _table(data, "materials", path)
+        },
+    )
+    return read_mesh(path.parent / data["mesh"], options)
+
+
+def _scale(data: Mapping[str, Any], path: Path) -> float | None:
+    if "scale" not in data:
+        return None
+    if not _is_number(data["scale"]) or not 0 < data["scale"] < float("inf"):
+        raise SceneError(f"scene file {path}: scale is {data['scale']!r}, but must be a number above zero")
+    return float(data["scale"])
+
+
+def _up(data: Mapping[str, Any], path: Path) -> str:
+    up = data.get("up", "y")
+    if up not in _UP:
+        raise SceneError(f"scene file {path}: up is {up!r}, but must be one of {', '.join(_UP)}")
+    return up
+
+
+def _camera(table: Mapping[str, Any], path: Path) -> Camera:
+    _check_keys(table, _CAMERA_KEYS, path, "camera.")
+    for key in ("position", "target"):
+        if key not in table:
+            raise SceneError(f"scene file {path}: the camera needs a {key} = [x, y, z]")
+    values: dict[str, Any] = {key: _triple(table[key], f"camera.{key}", path) for key in table if key != "fov_y"}
+    if "fov_y" in table:
+        if not _is_number(table["fov_y"]) or not 0 < table["fov_y"] < 180:
+            raise SceneError(f"scene file {path}: camera.fov_y is {table['fov_y']!r}, but must lie between 0 and 180")
+        values["fov_y"] = float(table["fov_y"])
+    return Camera(**values)
+
+
+def _material(table: Mapping[str, Any], name: str, path: Path) -> dict[str, Any]:
+    where = f"materials.{name}."
+    _check_keys(table, _MATERIAL_KEYS, path, where)
+    values: dict[str, Any] = {}
+    if "albedo" in table:
+        values["albedo"] = _triple(table["albedo"], f"{where}albedo", path)
+        if not all(0 <= value <= 1 for value in values["albedo"]):
+            raise SceneError(f"scene file {path}: {where}albedo is {table['albedo']}, but an albedo lies from 0 to 1")
+    if "two_sided" in table:
+        if not isinstance(table["two_sided"], bool):
+            raise SceneError(
+                f"scene file {path}: {where}two_sided is {table['two_sided']!r}, but must be true or false"
+            )
+        values["two_sided"] = table["two_sided"]
+    return values
+
+
+def _check_keys(table: Mapping[str, Any], known: tuple[str, ...], path: Path, where: str) -> None:
+    for key in table:
+        if key not in known:
+            nearest = get_close_matches(key, known, 1, 0.0)[0]
+            raise SceneError(f"scene file {path} has an unknown key '{where}{key}'; did you mean '{where}{nearest}'?")
+
+
+def _table(data: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]:
+    table = data.get(key, {})
+    if not isinstance(table, dict):
+        raise SceneError(f"scene file {path}: '{key}' must be a table, not {table!r}")
+    return table
+
+
+def _triple(value: Any, where: str, path: Path) -> tuple[float, float, float]:
+    if not isinstance(value, list) or len(value) != 3 or not all(_is_number(v) for v in value):
+        raise SceneError(f"scene file {path}: {where} is {value!r}, but must be three numbers")
+    return float(value[0]), float(value[1]), float(value[2])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
