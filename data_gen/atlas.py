@@ -1,19 +1,16 @@
-"""Lightmaps: the atlas that unwraps a scene, the surface point of every texel, and the texel of every hit.
+"""Lightmaps: the atlas that unwraps a scene, and the surface point of every texel.
 
 Charts come from xatlas, or from the scene's own texture coordinates where those are a valid atlas. A texel is covered
 when its square overlaps a triangle, so every chart has receivers and a hit always finds one.
 """
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 import xatlas
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from data_gen.raster import overlaps, rasterise
 from prt_bench.errors import SceneError
@@ -68,74 +65,6 @@ def surface_points(scene: Scene, face: Int[np.ndarray, " P"], barycentric: Float
     return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
 
 
-@dataclass(frozen=True)
-class TexelLookup:
-    """From a ray's hit to the receiver it lands on, never in another chart than the one that was hit.
-
-    `receiver` [resolution²]: the texel's receiver, or the nearest one within `PADDING` texels, else −1.
-    `receiver_chart` [T + 1] (the last entry, which −1 finds, is no chart) and `face_chart` [F].
-    `corner` [F, 6]: per face, in texels, where its first corner lies and the edges from there to the other two.
-    """
-
-    resolution: int
-    receiver: Int[np.ndarray, " texels"]
-    receiver_chart: Int[np.ndarray, " T1"]
-    face_chart: Int[np.ndarray, " F"]
-    corner: Float[np.ndarray, "F 6"]
-
-    def __call__(
-        self,
-        face: Int[np.ndarray, " n"],
-        u: Float[np.ndarray, " n"],
-        v: Float[np.ndarray, " n"],
-        jitter: Float[np.ndarray, "n 2"],
-    ) -> Int[np.ndarray, " n"]:
-        """Receivers hit at barycentrics (1 − u − v, u, v) of faces; −1 for a face without a chart, and for face −1.
-
-        `jitter`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart.
-        """
-        corner = self.corner[face]
-        s = corner[:, 0] + u * corner[:, 2] + v * corner[:, 4]
-        t = corner[:, 1] + u * corner[:, 3] + v * corner[:, 5]
-        receiver = self._nearest(s + jitter[:, 0], t + jitter[:, 1])
-        chart = self.face_chart[face]
-        strayed = np.flatnonzero(self.receiver_chart[receiver] != chart)
-        home = self._nearest(s[strayed], t[strayed])
-        receiver[strayed] = np.where(self.receiver_chart[home] == chart[strayed], home, -1)
-        receiver[face < 0] = -1
-        return receiver
-
-    def _nearest(self, s: Float[np.ndarray, " n"], t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        last = self.resolution - 1
-        row, column = np.clip(t.astype(np.int32), 0, last), np.clip(s.astype(np.int32), 0, last)
-        return self.receiver[row * self.resolution + column]
-
-
-def texel_lookup(
-    lightmap: Lightmap, points: SurfacePoints, buried: Bool[np.ndarray, " T"] | None = None
-) -> TexelLookup:
-    """Tables that resolve hits to `points`, the receivers of a lightmap.
-
-    Where another body stands on a texel its point may be `buried` in it, and dark, while the rest of the texel is lit:
-    a hit there goes to the nearest receiver of the chart that is not.
-    """
-    side = lightmap.resolution
-    receivers = np.arange(len(points), dtype=np.int32)
-    if buried is not None and buried.any() and not buried.all():
-        apart = 4 * side * lightmap.chart[points.face]
-        place = np.stack([lightmap.texel % side, lightmap.texel // side, apart], axis=1)
-        _, nearest = cKDTree(place[~buried]).query(place[buried])
-        receivers[buried] = receivers[~buried][nearest]
-    covered = np.full(side * side, -1, np.int32)
-    covered[lightmap.texel] = receivers
-    grid = covered.reshape(side, side)
-    distance, (row, column) = distance_transform_edt(grid < 0, return_indices=True)
-    receiver = np.where(distance < PADDING, grid[row, column], -1).ravel().astype(np.int32)
-    uv = lightmap.corner_uv * side
-    corner = np.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], axis=1).astype(np.float32)
-    return TexelLookup(side, receiver, np.append(lightmap.chart[points.face], -2), lightmap.chart, corner)
-
-
 def _flaw_of_own_atlas(scene: Scene, resolution: int) -> str | None:
     """Why the scene's texture coordinates cannot serve as lightmap, or None when they can."""
     uv = scene.mesh.uv
@@ -153,7 +82,7 @@ def _flaw_of_own_atlas(scene: Scene, resolution: int) -> str | None:
 
 def _components(scene: Scene) -> Int[np.ndarray, " F"]:
     """Charts of the scene's own coordinates: faces joined over edges that coincide in space and in texture."""
-    corners = np.concatenate([scene.mesh.triangles, scene.mesh.uv], axis=2).reshape(-1, 5)
+    corners = np.concatenate([scene.mesh.triangles, np.asarray(scene.mesh.uv)], axis=2).reshape(-1, 5)
     _, corner = np.unique(corners, axis=0, return_inverse=True)
     corner = corner.reshape(-1, 3)
     edges = np.sort(np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)

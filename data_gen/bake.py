@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 import zarr
 
-from data_gen.atlas import lightmap_points, texel_lookup, unwrap
+from data_gen.atlas import lightmap_points, unwrap
 from data_gen.gather import buried, trace_hits
 from data_gen.hemisphere import HemisphereSampler
 from data_gen.journal import resumable
 from data_gen.light import LightPass
 from data_gen.plan import Plan, plan
+from data_gen.resolve import HitResolver
 from data_gen.sampling import measurement_points
 from data_gen.scenarios import check_lightings, sample_lightings
 from data_gen.tracer import Tracer
@@ -155,7 +156,7 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
     shared = settings.gather_texels == settings.texels
     gather_map = lightmap if shared else unwrap(scene, settings.gather_texels)
     samples = receivers if shared else lightmap_points(scene, gather_map)
-    lookup = texel_lookup(gather_map, samples, buried(tracer, samples, seed))
+    resolver = HitResolver.create(gather_map, samples, buried(tracer, samples, seed))
     sampler = HemisphereSampler.create(settings.rays, seed)
     index_type = np.uint16 if len(samples) < 2**16 - 1 else np.int32
 
@@ -169,7 +170,7 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
             _create_array(group, name, shape, chunk, index_type)
         missing = [(index, chunk) for index, chunk in enumerate(chunks) if index not in journal.done]
         for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
-            group[name][rows] = trace_hits(tracer, lookup, sampler, points[rows], rows.start).astype(index_type)
+            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start).astype(index_type)
             journal.add(index)
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)

@@ -8,8 +8,8 @@ interpolated across a seam or through a wall.
 import numpy as np
 from jaxtyping import Bool, Int
 
-from data_gen.atlas import TexelLookup
 from data_gen.hemisphere import HemisphereSampler
+from data_gen.resolve import HitResolver
 from data_gen.tracer import RAYS_PER_CALL, Tracer
 from prt_bench.points import SurfacePoints
 
@@ -27,13 +27,12 @@ def buried(tracer: Tracer, points: SurfacePoints, seed: int) -> Bool[np.ndarray,
 
 
 def trace_hits(
-    tracer: Tracer, lookup: TexelLookup, sampler: HemisphereSampler, points: SurfacePoints, first: int
+    tracer: Tracer, resolver: HitResolver, sampler: HemisphereSampler, points: SurfacePoints, first: int
 ) -> Int[np.ndarray, "P R"]:
     """Hit table rows of `points`, whose global indices start at `first`. Same result for any number of workers.
 
-    A ray that escapes, meets the back of a one-sided surface, or a face without texels holds the number of samples.
+    A ray that carries nothing holds the number of samples.
     """
-    nothing = np.int32(lookup.receiver_chart.size - 1)
     rays = sampler.local.shape[1]
     step = max(RAYS_PER_CALL // rays, 1)
     origins = (points.position + tracer.offset * points.normal).astype(np.float32)
@@ -42,9 +41,9 @@ def trace_hits(
     def trace(start: int) -> None:
         rows = slice(start, min(start + step, len(points)))
         directions, jitter = sampler.directions(first + start, points.normal[rows])
-        hits = tracer.nearest(np.repeat(origins[rows], rays, axis=0), directions.reshape(-1, 3))
-        sample = lookup(hits.face, hits.u, hits.v, jitter.reshape(-1, 2))
-        table[rows] = np.where(hits.front & (sample >= 0), sample, nothing).reshape(-1, rays)
+        directions = directions.reshape(-1, 3)
+        found = tracer.trace(np.repeat(origins[rows], rays, axis=0), directions)
+        table[rows] = resolver(found, directions, jitter.reshape(-1, 2)).reshape(-1, rays)
 
     with tracer.pool() as executor:
         list(executor.map(trace, range(0, len(points), step)))

@@ -45,7 +45,6 @@ class Tracer:
         self.reach = 4.0 * scene.extent
         self._embree = EmbreeScene()
         self._mesh = TriangleMesh(self._embree, np.ascontiguousarray(scene.mesh.triangles, np.float32))
-        self.normals = scene.mesh.normals.astype(np.float32)
 
     @contextmanager
     def pool(self) -> Iterator[Executor]:
@@ -56,7 +55,7 @@ class Tracer:
     def intersect(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """Nearest hit of each ray, with no offset applied."""
         origins, directions = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
-        parts = self._in_parts(len(origins), lambda part: self.nearest(origins[part], directions[part]))
+        parts = self._in_parts(len(origins), lambda part: self._hits(origins[part], directions[part]))
         return Hits(*(np.concatenate([getattr(p, name) for p in parts]) for name in Hits.__dataclass_fields__))
 
     def occluded(self, origins: Float[np.ndarray, "n 3"], segments: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
@@ -84,13 +83,15 @@ class Tracer:
         hits = self.intersect(np.repeat(points, count, axis=0), np.tile(_DIRECTIONS, (len(points), 1)))
         return Hits(*(getattr(hits, name).reshape(-1, count) for name in Hits.__dataclass_fields__))
 
-    def nearest(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-        """`intersect` for one batch of float32 rays on the calling thread."""
-        found = self._embree.run(origins, directions, output=True)
-        face = found["primID"]
-        hit = face >= 0
-        front = np.einsum("nd,nd->n", self.normals[face], directions) < 0
-        return Hits(face, found["u"], found["v"], np.where(hit, found["tfar"], np.float32(np.inf)), front & hit)
+    def trace(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> dict[str, np.ndarray]:
+        """Embree's own answer to float32 rays, on the calling thread: primID, u, v, tfar and the normal Ng (not unit)."""
+        return self._embree.run(origins, directions, output=True)
+
+    def _hits(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        found = self.trace(origins, directions)
+        hit = found["primID"] >= 0
+        front = hit & (np.einsum("nd,nd->n", found["Ng"], directions) < 0)
+        return Hits(found["primID"], found["u"], found["v"], np.where(hit, found["tfar"], np.float32(np.inf)), front)
 
     def _in_parts(self, count: int, work: Callable[[slice], Any]) -> list[Any]:
         parts = [slice(at, min(at + RAYS_PER_CALL, count)) for at in range(0, max(count, 1), RAYS_PER_CALL)]
