@@ -27,7 +27,9 @@ class Part:
     material: int
     uv: Float[np.ndarray, "F 3 2"] | None = None
 
-    def transformed(self, matrix: Float[np.ndarray, "3 3"], offset: Sequence[float] = (0.0, 0.0, 0.0)) -> "Part":
+    def transformed(
+        self, matrix: Float[np.ndarray, "3 3"], offset: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
+    ) -> "Part":
         """Vertices multiplied by `matrix`, then moved by `offset`."""
         return replace(self, vertices=self.vertices @ np.asarray(matrix, float).T + np.asarray(offset, float))
 

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from trimesh.visual import ColorVisuals, TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from data_gen.geometry import Part, assemble, is_closed, repair, rotation_about, with_both_sides
 from prt_bench.errors import SceneError
@@ -78,8 +80,7 @@ def _parts(path: Path) -> tuple[list[Part], list[Material], tuple[str, ...]]:
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             notes += (f"left out '{name}', which has no triangles",)
             continue
-        coloured = isinstance(geometry.visual, trimesh.visual.ColorVisuals)
-        source = id(geometry if coloured else geometry.visual.material)
+        source = id(geometry.visual.material if isinstance(geometry.visual, TextureVisuals) else geometry)
         if source not in index:
             index[source] = len(materials)
             materials.append(_material(geometry, path, factors))
@@ -122,11 +123,11 @@ def _placed(part: Part, matrix: Float[np.ndarray, "4 4"]) -> Part:
 def _material(geometry: trimesh.Trimesh, path: Path, gltf_factors: Mapping[str, Sequence[float]]) -> Material:
     visual = geometry.visual
     name = str(geometry.metadata.get("name") or path.stem)
-    if isinstance(visual, trimesh.visual.ColorVisuals):
-        return _coloured(visual, name, linear=path.suffix.lower() in _METRIC)
+    if not isinstance(visual, TextureVisuals):
+        return _coloured(geometry, name, linear=path.suffix.lower() in _METRIC)
     material = visual.material
     name = material.name or name
-    if isinstance(material, trimesh.visual.material.PBRMaterial):
+    if isinstance(material, PBRMaterial):
         factor, image, two_sided = gltf_factors.get(name), material.baseColorTexture, bool(material.doubleSided)
     else:
         factor, image, two_sided = material.kwargs.get("kd"), material.image, False
@@ -148,14 +149,14 @@ def _gltf_factors(path: Path) -> dict[str, Sequence[float]]:
     }
 
 
-def _coloured(visual: trimesh.visual.ColorVisuals, name: str, linear: bool) -> Material:
+def _coloured(geometry: trimesh.Trimesh, name: str, linear: bool) -> Material:
     """Vertex or face colours, averaged over each face, as one colour or as an image with a texel per colour."""
-    if not visual.defined:
+    if geometry.visual is None or not geometry.visual.defined:
         return Material(name, _GREY)
-    colours = _face_colours(visual, linear)
-    palette = np.unique(colours, axis=0)
+    palette, _ = _palette(geometry, linear)
     if len(palette) == 1:
-        return Material(name, tuple(palette[0].tolist()))
+        red, green, blue = palette[0].tolist()
+        return Material(name, (red, green, blue))
     side = _palette_side(len(palette))
     image = np.zeros((side * side, 3), np.float32)
     image[: len(palette)] = palette
@@ -163,23 +164,23 @@ def _coloured(visual: trimesh.visual.ColorVisuals, name: str, linear: bool) -> M
 
 
 def _texture_coordinates(geometry: trimesh.Trimesh, path: Path) -> Float[np.ndarray, "F 3 2"]:
-    if not isinstance(geometry.visual, trimesh.visual.ColorVisuals):
+    if isinstance(geometry.visual, TextureVisuals):
         return np.asarray(geometry.visual.uv, float)[geometry.faces]
-    colours = _face_colours(geometry.visual, linear=path.suffix.lower() in _METRIC)
-    palette, which = np.unique(colours, axis=0, return_inverse=True)
+    palette, which = _palette(geometry, linear=path.suffix.lower() in _METRIC)
     side = _palette_side(len(palette))
-    row, column = np.divmod(which.reshape(-1), side)
+    row, column = np.divmod(which, side)
     centre = np.stack([(column + 0.5) / side, 1.0 - (row + 0.5) / side], axis=1)
     return np.repeat(centre[:, None], 3, axis=1)
 
 
-def _face_colours(visual: trimesh.visual.ColorVisuals, linear: bool) -> Float[np.ndarray, "F 3"]:
-    if visual.kind == "vertex":
-        corners = visual.vertex_colors[visual.mesh.faces][..., :3]
-    else:
-        corners = visual.face_colors[:, None, :3]
-    values = corners / np.float32(255.0) if linear else _linear(corners)
-    return values.mean(axis=1, dtype=np.float32)
+def _palette(geometry: trimesh.Trimesh, linear: bool) -> tuple[Float[np.ndarray, "K 3"], Int[np.ndarray, " F"]]:
+    """The distinct colours of a mesh without textures, and which of them each face has."""
+    visual = geometry.visual
+    assert isinstance(visual, ColorVisuals)
+    colours = visual.vertex_colors[geometry.faces] if visual.kind == "vertex" else visual.face_colors[:, None]
+    values = colours[..., :3] / np.float32(255.0) if linear else _linear(colours[..., :3])
+    palette, which = np.unique(values.mean(axis=1, dtype=np.float32), axis=0, return_inverse=True)
+    return palette, which.reshape(-1)
 
 
 def _palette_side(colours: int) -> int:

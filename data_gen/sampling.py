@@ -111,7 +111,7 @@ def _blue_noise(scene: Scene, count: int, seed: np.random.SeedSequence, tracer: 
     exposed = ~tracer.inside(candidates.position + tracer.offset * candidates.normal)
     if np.sum(exposed) >= count:
         candidates = candidates[exposed]
-    area = float(scene.mesh.areas.sum()) * np.mean(exposed)
+    area = float(scene.mesh.areas.sum() * np.mean(exposed))
     return candidates[sample_elimination(candidates.position, count, area)]
 
 

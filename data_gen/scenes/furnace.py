@@ -17,7 +17,7 @@ def build() -> Scene:
     """An icosphere of radius 1 m, 5,120 faces, normals inward."""
     sphere = trimesh.creation.icosphere(subdivisions=SUBDIVISIONS, radius=1.0)
     part = Part(sphere.vertices.copy(), sphere.faces[:, ::-1].copy(), 0)
-    material = Material("grey", (ALBEDO,) * 3)
+    material = Material("grey", (ALBEDO, ALBEDO, ALBEDO))
     return Scene("furnace", assemble([part]), (material,), Camera((0.0, 0.0, 0.9), (0.0, 0.0, 0.0), fov_y=75.0))
 
 

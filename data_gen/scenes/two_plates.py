@@ -16,7 +16,7 @@ FLOOR, WALL = range(2)
 
 def build() -> Scene:
     """The floor is y = 0 facing up, the wall z = 0 facing +z; x, y and z run from 0 to 1 m."""
-    materials = (Material("floor", (ALBEDO,) * 3), Material("wall", (ALBEDO,) * 3))
+    materials = (Material("floor", (ALBEDO, ALBEDO, ALBEDO)), Material("wall", (ALBEDO, ALBEDO, ALBEDO)))
     parts = [
         quad([(0, 0, 0), (0, 0, 1), (1, 0, 1), (1, 0, 0)], FLOOR),
         quad([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], WALL),
@@ -37,4 +37,5 @@ def view_factor(position: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " P"]:
     x = np.asarray(position)[:, 0]
     h = np.maximum(position[:, 1], position[:, 2])
     far = np.sqrt(1.0 + h**2)
-    return sum(np.arctan2(a, h) - h / far * np.arctan(a / far) for a in (x, 1.0 - x)) / (2.0 * np.pi)
+    left, right = (np.arctan2(a, h) - h / far * np.arctan(a / far) for a in (x, 1.0 - x))
+    return (left + right) / (2.0 * np.pi)
