@@ -4,10 +4,9 @@ Frontiers, ranks and ties are computed here, in Python; the page's scripts only 
 """
 
 import base64
-import hashlib
 import io
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,12 @@ from plotly.offline import get_plotlyjs
 
 from prt_bench import records as record_files
 from prt_bench.errors import DatasetError
+from prt_bench.report.embed import LEVELS, Pair, embed
 from prt_bench.report.frontier import COST_AXES, ERROR_AXES, METRICS, Row, frontier
 from prt_bench.report.leaderboard import COLUMNS, figure, status, write_text
-from prt_bench.report.pictures import Encoded, encode_within, read_picture
 from prt_bench.report.ranking import TIE_RULE, Group, groups
 
-PICTURE_BUDGET = 7_500_000
+PICTURE_BUDGET = 9_000_000
 """Bytes for all embedded HDR pictures together: they shrink until they fit, which keeps the page under 15 MB."""
 
 VIEWS = {"final": ("prediction", "reference"), "indirect": ("indirect", "indirect_reference")}
@@ -39,7 +38,9 @@ def write_report(run_dir: Path) -> Path:
     Raises `DatasetError` when the records or a picture they name cannot be read.
     """
     board = groups(record_files.read(run_dir / "records.jsonl"))
-    keys, pictures = _pictures(run_dir, board)
+    pairs = {entry.row: _pairs(run_dir, entry.row) for group in board for entry in group.entries}
+    keys, pictures = embed(pairs.values(), PICTURE_BUDGET)
+    shown = {row: {view: keys[pair] for view, pair in views.items()} for row, views in pairs.items()}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("prt_bench.report"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
@@ -47,7 +48,7 @@ def write_report(run_dir: Path) -> Path:
     environment.globals |= {"figure": figure, "columns": COLUMNS, "static": lambda name: _static(environment, name)}
     page = environment.get_template("report.html.j2").render(
         board=board,
-        data=page_data(board, keys),
+        data=page_data(board, shown),
         pictures=pictures,
         plans=_plans(run_dir, board),
         machines=_machines(board),
@@ -66,8 +67,8 @@ def _static(environment: jinja2.Environment, name: str) -> Markup:
     return Markup(loader.get_source(environment, name)[0])
 
 
-def page_data(board: Sequence[Group], pictures: dict[str, str]) -> dict[str, Any]:
-    """What the scripts draw. `pictures` maps a path of a record to the key of its embedded picture."""
+def page_data(board: Sequence[Group], pictures: Mapping[Row, Mapping[str, tuple[str, str]]]) -> dict[str, Any]:
+    """What the scripts draw. `pictures` gives for a row's views the keys of the difference and of the reference."""
     return {
         "metrics": {
             metric.name: {"label": metric.label, "unit": metric.unit, "log": metric.log} for metric in METRICS.values()
@@ -75,16 +76,19 @@ def page_data(board: Sequence[Group], pictures: dict[str, str]) -> dict[str, Any
         "axes": {"x": COST_AXES, "y": ERROR_AXES},
         "parts": ERROR_PARTS,
         "groups": [_group_data(group, pictures) for group in board],
+        "levels": LEVELS,
         "colormap": (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).round().astype(int).tolist(),
     }
 
 
-def _group_data(group: Group, pictures: dict[str, str]) -> dict[str, Any]:
+def _group_data(group: Group, pictures: Mapping[Row, Mapping[str, tuple[str, str]]]) -> dict[str, Any]:
     members = [entry.row for entry in group.entries]
     return {
         **{name: getattr(group, name) for name in ("scene", "scenario", "split", "device", "title")},
         "noise": group.noise_floor,
-        "rows": [{**_row_data(entry.row, pictures), "place": entry.place} for entry in group.entries],
+        "rows": [
+            {**_row_data(entry.row), "place": entry.place, "pictures": pictures[entry.row]} for entry in group.entries
+        ],
         "frontiers": {
             f"{x} {y}": frontier(members, METRICS[x], METRICS[y]) for x in COST_AXES for y in ERROR_AXES
         },
@@ -92,7 +96,7 @@ def _group_data(group: Group, pictures: dict[str, str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _row_data(row: Row, pictures: dict[str, str]) -> dict[str, Any]:
+def _row_data(row: Row) -> dict[str, Any]:
     record = row.record
     kind = record.status if record.status in ("oracle", "failed", "timeout") else record.role
     return {
@@ -104,11 +108,6 @@ def _row_data(row: Row, pictures: dict[str, str]) -> dict[str, Any]:
         "shown": {metric.name: figure(metric.name, metric.of(row)) for metric in METRICS.values()},
         "spread": {metric.name: spread for metric in METRICS.values() if (spread := metric.spread(row)) is not None},
         "errors": asdict(record.errors),
-        "pictures": {
-            view: [pictures[record.pictures[name]] for name in names]
-            for view, names in VIEWS.items()
-            if all(record.pictures.get(name) in pictures for name in names)
-        },
     }
 
 
@@ -125,18 +124,14 @@ def _curves(members: Iterable[Row]) -> list[dict[str, Any]]:
     return list(found.values())
 
 
-def _pictures(run_dir: Path, board: Iterable[Group]) -> tuple[dict[str, str], dict[str, Encoded]]:
-    """Keys by record path, and encoded pictures by key. Equal files share a key: a reference is embedded once."""
-    wanted = dict.fromkeys(
-        path
-        for group in board
-        for entry in group.entries
-        for name in (name for names in VIEWS.values() for name in names)
-        if (path := entry.row.record.pictures.get(name))
-    )
-    keys = {path: hashlib.sha256(_inside(run_dir, path).read_bytes()).hexdigest()[:16] for path in wanted}
-    images = {key: read_picture(run_dir / path) for path, key in keys.items()}
-    return keys, encode_within(images, PICTURE_BUDGET)
+def _pairs(run_dir: Path, row: Row) -> dict[str, Pair]:
+    """The row's pictures beside their references, by view."""
+    found = row.record.pictures
+    return {
+        view: Pair(*(_inside(run_dir, found[name]) for name in names))
+        for view, names in VIEWS.items()
+        if all(name in found for name in names)
+    }
 
 
 def _inside(run_dir: Path, path: str) -> Path:

@@ -40,13 +40,16 @@ def figure(metric: str, value: float | None) -> str:
         return MISSING
     if METRICS[metric].unit == "bytes":
         for prefix, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-            if abs(value) >= size:
-                return f"{value / size:.3g} {prefix}"
+            if value >= size:
+                return f"{_three_digits(value / size)} {prefix}"
         return f"{value:.0f} B"
-    if METRICS[metric].unit == "dB":
-        return f"{value:.1f}"
-    small = value != 0 and abs(value) < 1e-3
-    return f"{value:.2e}" if small else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{value:.1f}" if METRICS[metric].unit == "dB" else _three_digits(value)
+
+
+def _three_digits(value: float) -> str:
+    if value == 0 or abs(value) >= 999.5:
+        return f"{value:.0f}"
+    return f"{value:.2e}" if abs(value) < 1e-3 else f"{value:#.3g}".removesuffix(".")
 
 
 def effects(row: Row) -> str:

@@ -30,16 +30,18 @@ def stage(median: float) -> Stage:
     return Stage(median, 0.04 * median, 7)
 
 
-def timings(basis: int, device: str = RENDERER, speed: float = 1.0, gl: bool = True) -> tuple[Timing, ...]:
+def timings(
+    basis: int, device: str = RENDERER, speed: float = 1.0, gl: bool = True, resolution: tuple[int, int] = (640, 480)
+) -> tuple[Timing, ...]:
     measure, transfer, draw = 1.1 * speed, (0.05 + 0.004 * basis) * speed, (6.5 + 0.13 * basis) * speed
     stages = {"shadow": stage(2.0 * speed), "measure": stage(measure), "transfer": stage(transfer), "draw": stage(draw)}
     stages["frame"] = stage(2.0 * speed + measure + transfer + draw)
-    found = [Timing("gl", device, True, "wall", (640, 480), stages, baseline=stage(8.5 * speed))] if gl else []
+    found = [Timing("gl", device, True, "wall", resolution, stages, baseline=stage(8.5 * speed))] if gl else []
     jax = {"measure": stage(0.4), "transfer": stage(0.02 + 0.001 * basis), "reconstruct": stage(0.3 + 0.05 * basis)}
     return (*found, Timing("jax", "cpu", False, "wall", None, jax))
 
 
-def make_record(label: str = "svd-ridge b16", error: float | None = 0.02, basis: int = 16, **changes) -> Record:
+def a_record(label: str = "svd-ridge b16", error: float | None = 0.02, basis: int = 16, **changes) -> Record:
     method, _, setting = label.partition(" b")
     coefficient = None if error is None else 0.4 * error
     figures = {
@@ -74,13 +76,13 @@ def make_run() -> list[Record]:
             scale = difficulty * loss
             for basis in (4, 8, 16, 32, 64):
                 error = scale * 0.012 + scale * 0.45 / basis
-                found.append(make_record(f"svd-ridge b{basis}", error, basis, **where))
-                found.append(make_record(f"operator-ridge b{basis}", 0.7 * error + 0.002, basis + 3, **where))
-            found.append(make_record("constant", 0.93 * difficulty**0.1, 0, role="floor", **where))
-            found.append(make_record("mean", 0.61 * difficulty**0.3, 1, role="floor", **where))
-            found.append(make_record("nearest", min(0.41 * scale, 0.9), 128, **where))
+                found.append(a_record(f"svd-ridge b{basis}", error, basis, **where))
+                found.append(a_record(f"operator-ridge b{basis}", 0.7 * error + 0.002, basis + 3, **where))
+            found.append(a_record("constant", 0.93 * difficulty**0.1, 0, role="floor", **where))
+            found.append(a_record("mean", 0.61 * difficulty**0.3, 1, role="floor", **where))
+            found.append(a_record("nearest", min(0.41 * scale, 0.9), 128, **where))
             found.append(
-                make_record(
+                a_record(
                     "projection",
                     0.011 * scale,
                     64,
@@ -92,7 +94,7 @@ def make_run() -> list[Record]:
                 )
             )
             found.append(
-                make_record(
+                a_record(
                     "reference",
                     0.0,
                     0,
@@ -106,7 +108,7 @@ def make_run() -> list[Record]:
                 )
             )
             found.append(
-                make_record(
+                a_record(
                     "mlp-large",
                     None,
                     timings=(),
@@ -122,9 +124,9 @@ def make_run() -> list[Record]:
     return found
 
 
-def picture(scene: str, error: float, seed: int = 0) -> np.ndarray:
+def picture(scene: str, error: float, seed: int, height: int) -> np.ndarray:
     """A shaded sphere before two coloured walls, off by a smooth pattern of relative size `error`."""
-    y, x = np.mgrid[-1:1:240j, -4 / 3 : 4 / 3 : 320j]
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-4 / 3, 4 / 3, height * 4 // 3), indexing="ij")
     z = np.sqrt(np.maximum(0.36 - x**2 - y**2, 0))
     ball = z > 0
     wall = np.stack([np.where(x < 0, 0.6, 0.1), np.full_like(x, 0.25), np.where(x < 0, 0.1, 0.6)], -1)
@@ -136,16 +138,28 @@ def picture(scene: str, error: float, seed: int = 0) -> np.ndarray:
 
 
 @pytest.fixture
+def make_record():
+    """The maker of one record; keyword arguments replace its fields."""
+    return a_record
+
+
+@pytest.fixture
+def make_timings():
+    """The maker of a record's timings, for other devices, speeds and resolutions."""
+    return timings
+
+
+@pytest.fixture
 def records() -> list[Record]:
     return make_run()
 
 
-@pytest.fixture
-def run_dir(tmp_path: Path) -> Path:
-    return write_run(tmp_path / "run")
+@pytest.fixture(scope="package")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_run(tmp_path_factory.mktemp("report") / "run", height=48)
 
 
-def write_run(folder: Path) -> Path:
+def write_run(folder: Path, height: int = 240) -> Path:
     """A run folder with records and pictures, as a run leaves it."""
     folder.mkdir(parents=True)
     for number, record in enumerate(make_run()):
@@ -157,6 +171,6 @@ def write_run(folder: Path) -> Path:
         } if error is not None else {}  # fmt: skip
         paths = {key: f"{base}{ending}.exr" for key, (ending, _, _) in views.items()}
         for key, (_, size, scale) in views.items():
-            write_picture(folder / paths[key], scale * picture(record.scene, size, number))
+            write_picture(folder / paths[key], scale * picture(record.scene, size, number, height))
         append(folder / "records.jsonl", Record(**{**vars(record), "pictures": paths}))
     return folder

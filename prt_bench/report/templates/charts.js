@@ -86,7 +86,7 @@ function drawFrontier() {
     { type: "line", xref: "paper", x0: 0, x1: 1, y0: noise, y1: noise, line: { color: css("--soft"), width: 1, dash: "dash" } },
   ];
   const noiseText = noise === null ? [] : [{ xref: "paper", x: 1, xanchor: "right", y: logY ? Math.log10(noise) : noise, yanchor: "top", yshift: 1, showarrow: false,
-    text: `noise floor ${short(+noise.toPrecision(2))}: rows below it are tied`, font: { size: 11.5, color: css("--soft") } }];
+    text: `noise floor ${short(+noise.toPrecision(2))}${$("chart-frontier").clientWidth > 600 ? ": rows below it are tied" : ""}`, font: { size: 11.5, color: css("--soft") } }];
   const gutter = untimed.length > 0;
   const chart = layout({
     xaxis: axis(named(x), timed.map((row) => row.values[x]), logX, { domain: [gutter ? 0.13 : 0, 1], ...(gutter ? { anchor: "y" } : {}) }), yaxis, shapes, annotations: noiseText,

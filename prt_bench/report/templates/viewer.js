@@ -1,5 +1,5 @@
 /* Pictures in linear radiance: decoded to floats, exposed, wiped and differenced on canvases. */
-const decoded = new Map();
+const decoded = new Map(); // promises of pictures, by key
 const HALF = Float32Array.from({ length: 65536 }, (_, bits) => {
   const [exponent, fraction] = [(bits >> 10) & 31, bits & 1023];
   const size = exponent === 0 ? fraction * 2 ** -24 : exponent === 31 ? (fraction ? NaN : Infinity) : (1 + fraction / 1024) * 2 ** (exponent - 15);
@@ -12,28 +12,53 @@ const SRGB = Uint8ClampedArray.from({ length: 4097 }, (_, index) => {
 let shown = null; // what the canvases show: left, right and their exposed canvases
 let drawing = 0; // counts requests, so that a slow decode never overwrites a later choice
 
-/* Inverse of `byte_planes`: inflate, join the high and low bytes, and undo the differences along rows. */
-async function decode(key) {
-  if (decoded.has(key)) return decoded.get(key);
+async function inflate(key) {
   const source = $(`picture-${key}`);
   const bytes = Uint8Array.from(atob(source.textContent), (character) => character.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
-  const [width, height] = [+source.dataset.width, +source.dataset.height];
+  const { width, height, peak } = source.dataset;
+  return { width: +width, height: +height, peak: +peak, planes: new Uint8Array(await new Response(stream).arrayBuffer()) };
+}
+
+/* Inverse of `encode_reference`: join high and low bytes, undo the steps along rows, read the bits as half floats. */
+async function decodeReference(key) {
+  const { width, height, planes } = await inflate(key);
   const count = width * height;
   const pixels = new Float32Array(3 * count);
   for (let channel = 0; channel < 3; channel++) {
     let bits = 0;
     for (let index = 0; index < count; index++) {
       const step = (planes[channel * count + index] << 8) | planes[(3 + channel) * count + index];
-      bits = index % width ? (bits + step) & 65535 : step;
-      pixels[3 * index + channel] = HALF[bits];
+      bits = (index % width ? bits + step : step) & 65535;
+      pixels[3 * index + channel] = HALF[(bits << 3) & 65535];
     }
   }
-  const picture = { width, height, pixels };
-  decoded.set(key, picture);
-  return picture;
+  return { width, height, pixels };
 }
+
+/* Inverse of `encode_difference`, added to its reference. */
+async function decodePrediction(key, reference) {
+  const { width, height, peak, planes } = await inflate(key);
+  const pixels = new Float32Array(reference.pixels);
+  const count = width * height;
+  for (let channel = 0; channel < 3; channel++) {
+    let level = 0;
+    for (let index = 0; index < count; index++) {
+      const step = planes[channel * count + index];
+      level = ((index % width ? level + step : step) << 24) >> 24;
+      pixels[3 * index + channel] += peak * Math.sign(level) * (level / data.levels) ** 2;
+    }
+  }
+  return { width, height, pixels };
+}
+
+function once(name, make) {
+  if (!decoded.has(name)) decoded.set(name, make());
+  return decoded.get(name);
+}
+
+const referenceOf = (row) => once(row.pictures[view()][1], () => decodeReference(row.pictures[view()][1]));
+const predictionOf = (row) => once(row.pictures[view()].join(" "), async () => decodePrediction(row.pictures[view()][0], await referenceOf(row)));
 
 /* The level that all but one pixel in a hundred stay under. */
 function brightEnd(picture) {
@@ -74,14 +99,13 @@ function difference(canvas, a, b, scale) {
 }
 
 const view = () => $("picture-view").value;
-/* Rows with pictures, less a row whose picture is the reference itself. */
-const pictured = () => group.rows.filter((row) => row.pictures[view()] && row.pictures[view()][0] !== row.pictures[view()][1]);
+const pictured = () => group.rows.filter((row) => row.pictures[view()] && row.label !== "reference");
 const gain = () => 2 ** +$("exposure").value * 0.9 / shown.bright;
 const errorScale = () => 10 ** +$("scale").value * shown.bright;
 
 /* The choice of one side: -1 is the reference, otherwise an index into the group's rows. */
-function side(choice) {
-  return choice === "-1" ? [pictured()[0].pictures[view()][1], "reference"] : [group.rows[+choice].pictures[view()][0], group.rows[+choice].label];
+async function side(choice) {
+  return choice === "-1" ? referenceOf(pictured()[0]) : predictionOf(group.rows[+choice]);
 }
 
 /* After a change of group: the rows that have pictures, the best of them on the right. */
@@ -106,13 +130,12 @@ function showPictures() {
 
 async function loadPictures() {
   const request = ++drawing;
-  const [[leftKey, leftName], [rightKey, rightName]] = [side($("picture-left").value), side($("picture-right").value)];
-  const reference = await decode(pictured()[0].pictures[view()][1]);
-  const [left, right] = [await decode(leftKey), await decode(rightKey)];
+  const [left, right] = [await side($("picture-left").value), await side($("picture-right").value)];
+  const reference = await side("-1");
   if (request !== drawing) return;
   shown = { left, right, bright: brightEnd(reference), exposed: [document.createElement("canvas"), document.createElement("canvas")] };
-  $("tag-left").textContent = leftName;
-  $("tag-right").textContent = rightName;
+  $("tag-left").textContent = $("picture-left").selectedOptions[0].textContent;
+  $("tag-right").textContent = $("picture-right").selectedOptions[0].textContent;
   drawExposed();
   drawError();
   await drawStrip(request);
@@ -152,8 +175,7 @@ function drawError() {
 async function drawStrip(request) {
   const items = [];
   for (const row of pictured()) {
-    const [own, reference] = [await decode(row.pictures[view()][0]), await decode(row.pictures[view()][1])];
-    const canvas = difference(document.createElement("canvas"), reference, own, errorScale());
+    const canvas = difference(document.createElement("canvas"), await referenceOf(row), await predictionOf(row), errorScale());
     const index = String(group.rows.indexOf(row));
     items.push(element("button", {
       type: "button", ariaPressed: String($("picture-right").value === index), onclick: () => { $("picture-right").value = index; loadPictures(); },
