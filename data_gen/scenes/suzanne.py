@@ -33,4 +33,4 @@ def build() -> Scene:
         quad([(-1.1, 0, 1.2), (-1.1, 0, -1.2), (-1.1, 1.3, -1.2), (-1.1, 1.3, 1.2)], WALL),
         figure,
     ]
-    return Scene("suzanne", assemble(parts), materials, Camera((1.3, 1.5, 3.6), (0.05, 0.5, 0.0), fov_y=32.0))
+    return Scene("suzanne", assemble(parts), materials, Camera((1.3, 1.5, 3.6), (0.1, 0.42, 0.0), fov_y=35.0))
