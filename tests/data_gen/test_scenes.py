@@ -1,0 +1,99 @@
+"""Built-in scenes: found by looking, sound as meshes, and what their descriptions promise."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+
+from data_gen import assets
+from data_gen.geometry import repair
+from data_gen.scenes import cornell, furnace, load_scene, scenes, summary, two_plates
+from prt_bench.errors import SceneError
+
+
+def test_every_scene_file_is_found_by_its_name():
+    folder = Path(furnace.__file__).parent
+    files = {path.stem.replace("_", "-") for path in folder.glob("*.py") if path.stem != "__init__"}
+    assert set(scenes()) == files >= {"cornell", "furnace", "suzanne", "two-plates"}
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_scene_is_sound_and_deterministic(name):
+    scene = load_scene(name)
+    assert scene.name == name
+    assert summary(name).endswith(".")
+    assert repair(scene.mesh, name)[1] == ()
+    assert scene.mesh.material.max() < len(scene.materials)
+    assert scene.hash == load_scene(name).hash
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_camera_sees_fronts(name):
+    from data_gen.tracer import Tracer
+
+    scene = load_scene(name)
+    origin = np.array(scene.camera.position)
+    aims = np.array(scene.camera.target) + 0.1 * np.random.default_rng(0).normal(size=(64, 3))
+    hits = Tracer(scene).intersect(np.tile(origin, (64, 1)), aims - origin)
+    assert np.mean(hits.front & (hits.face >= 0)) > 0.9
+
+
+def test_cornell_walls_face_inward_and_blocks_outward():
+    mesh = load_scene("cornell").mesh
+    centre = np.array([0.0, 1.0, 0.0])
+    towards = np.einsum("fd,fd->f", mesh.normals, centre - mesh.triangles.mean(axis=1))
+    assert np.all(towards[:10] > 0)
+    for block in (slice(10, 22), slice(22, 34)):
+        corners = mesh.triangles[block]
+        middle = corners.mean(axis=(0, 1))
+        assert np.all(np.einsum("fd,fd->f", mesh.normals[block], corners.mean(axis=1) - middle) > 0)
+        assert corners[..., 1].min() == 0.0
+    red = mesh.material == cornell.RED
+    assert np.allclose(mesh.triangles[red][..., 0], -1)
+
+
+def test_furnace_is_a_closed_ball_seen_from_inside():
+    mesh = load_scene("furnace").mesh
+    volume = np.einsum("fd,fd->f", mesh.triangles[:, 0], np.cross(mesh.triangles[:, 1], mesh.triangles[:, 2])).sum() / 6
+    assert volume == pytest.approx(-4 / 3 * np.pi, rel=3e-3)
+    assert np.all(np.einsum("fd,fd->f", mesh.normals, mesh.triangles.mean(axis=1)) < -0.99)
+    assert furnace.indirect_irradiance(3.0) == pytest.approx(sum(3.0 * 0.5**k for k in range(1, 60)))
+
+
+@pytest.mark.parametrize("point", [(0.3, 0.0, 0.2), (0.8, 0.6, 0.0), (0.01, 0.9, 0.0), (0.5, 0.0, 0.001)])
+def test_view_factor_equals_its_integral(point):
+    """∫ cos θ cos θ' / (π r²) over the other plate, by quadrature."""
+    x, h = point[0], max(point[1:])
+
+    def integrand(depth, across):
+        return depth * h / (np.pi * ((across - x) ** 2 + depth**2 + h**2) ** 2)
+
+    expected, _ = dblquad(integrand, 0, 1, 0, 1, epsabs=1e-9)
+    assert two_plates.view_factor(np.array([point]))[0] == pytest.approx(expected, rel=1e-5)
+
+
+def test_suzanne_stands_on_the_ground_in_front_of_the_wall():
+    mesh = load_scene("suzanne").mesh
+    figure = mesh.triangles[mesh.material == 2]
+    assert len(figure) == 14_842
+    assert figure[..., 1].min() == pytest.approx(0.0, abs=1e-12)
+    assert np.sum(np.unique(figure.reshape(-1, 3), axis=0)[:, 1] < 2e-3) > 5  # both at chin and skull
+    assert figure[..., 0].min() > mesh.triangles[mesh.material == 1][..., 0].max()
+
+
+def test_vendored_files_match_their_checksums():
+    folder = Path(assets.__file__).parent
+    for line in (folder / "SHA256SUMS").read_text().splitlines():
+        digest, name = line.split()
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
+    assert list(assets.environment_maps()) == sorted(
+        ["city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset"]
+    )
+
+
+@pytest.mark.parametrize(("wrong", "nearest"), [("corneli", "cornell"), ("two_plates", "two-plates")])
+def test_unknown_scene_names_the_nearest(wrong, nearest):
+    with pytest.raises(SceneError, match=f"did you mean '{nearest}'"):
+        load_scene(wrong)
