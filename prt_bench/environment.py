@@ -11,6 +11,9 @@ from jaxtyping import Float
 
 from prt_bench.errors import LightError
 
+RINGING = 1e-5
+"""Share of a map's energy below which negative radiance counts as ringing of its compression."""
+
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentMap:
@@ -37,7 +40,10 @@ class EnvironmentMap:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read the RGB channels of an EXR file. Raises `LightError` when it is missing or holds no RGB."""
+        """Read the RGB channels of an EXR file. Raises `LightError` when it is missing or holds no RGB.
+
+        Negative values left by lossy compression, under `RINGING` of the map's energy, become zero.
+        """
         import OpenEXR
 
         if not path.is_file():
@@ -48,7 +54,10 @@ class EnvironmentMap:
                 pixels = channels["RGB"].pixels if "RGB" in channels else channels["RGBA"].pixels[..., :3]
         except (KeyError, RuntimeError, ValueError) as error:
             raise LightError(f"environment map {path} is not a readable RGB EXR file ({error})") from error
-        return cls(path.stem, np.array(pixels, np.float32))
+        radiance = np.array(pixels, np.float32)
+        if -radiance[radiance < 0].sum() <= RINGING * radiance.sum():
+            radiance = np.maximum(radiance, 0.0)
+        return cls(path.stem, radiance)
 
     @cached_property
     def hash(self) -> str:
@@ -78,8 +87,9 @@ def texel_directions(height: int, width: int) -> tuple[Float[np.ndarray, "H W 3"
 def median_cut(environment: EnvironmentMap, count: int) -> tuple[Float[np.ndarray, "Q 3"], Float[np.ndarray, "Q 3"]]:
     """Split the map into `count` regions of near-equal energy; each becomes one direction.
 
-    Returns unit directions towards the light [Q, 3] (the luminance-weighted mean of a region) and the irradiance at
-    normal incidence [Q, 3] (the integral of radiance over it, so the total is exact). `count` must be a power of two.
+    Returns unit directions towards the light [Q, 3] and irradiance at normal incidence [Q, 3], so that their product is
+    the region's vector irradiance ∫ L ω dω: exact for every surface that sees the whole region (grey maps; for others the
+    direction is that of the luminance). `count` must be a power of two.
     """
     direction, solid_angle = texel_directions(*environment.radiance.shape[:2])
     energy = environment.radiance.astype(float) * solid_angle[..., None]
@@ -94,7 +104,8 @@ def median_cut(environment: EnvironmentMap, count: int) -> tuple[Float[np.ndarra
         centre = direction[(top + bottom - 1) // 2, (left + right - 1) // 2]
         norm = np.linalg.norm(mean)
         directions.append(mean / norm if norm > 0 else centre)
-        irradiances.append(energy[top:bottom, left:right].sum(axis=(0, 1)))
+        total = luminance[top:bottom, left:right].sum()
+        irradiances.append(energy[top:bottom, left:right].sum(axis=(0, 1)) * (norm / total if total > 0 else 0.0))
     return np.array(directions), np.array(irradiances)
 
 

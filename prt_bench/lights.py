@@ -178,8 +178,8 @@ class EnvironmentLight(Light):
     """Distant light from an equirectangular radiance map (y up, −z at the image's centre).
 
     `map` is an `EnvironmentMap`, a path to an EXR file, or an array [H, W, 3] of radiance; `rotation` is an axis-angle
-    vector in radians. Median cut turns the map into `ENVIRONMENT_SAMPLES` directions that keep its energy exactly
-    (Debevec 2005, "A Median Cut Algorithm for Light Probe Sampling").
+    vector in radians. Median cut turns the map into `ENVIRONMENT_SAMPLES` directions that keep its vector irradiance
+    (after Debevec 2005, "A Median Cut Algorithm for Light Probe Sampling").
     """
 
     map: EnvironmentMap = eqx.field(converter=EnvironmentMap.coerce, static=True)
