@@ -149,43 +149,56 @@ def _read(path: Path) -> list[Record]:
 
 def compare_table(path: Path, a: str, b: str) -> Table:
     """`compare` on a run folder or a records file, as a table to print."""
-    table = Table("Scene · scenario · split", title=Text(f"{a} against {b}, as ratios"), title_justify="left", box=None)
+    found = compare(_read(path), a, b)
+    table = _table(f"{a} against {b}, as ratios", [comparison.group for comparison in found])
     for head in ("Error", "Time", "Bytes"):
         table.add_column(head, justify="right")
     table.add_column("Verdict")
-    table.add_column("Rows")
-    for found in compare(_read(path), a, b):
-        ratios = (MISSING if ratio is None else f"{ratio:.3g}×" for ratio in (found.error, found.time, found.bytes))
-        rows = f"{found.a.record.label} / {found.b.record.label}"
-        table.add_row(Text(found.group.title), *ratios, Text(_verdict(found)), Text(rows))
+    for comparison in found:
+        ratios = (comparison.error, comparison.time, comparison.bytes)
+        cells = (Text(MISSING if ratio is None else f"{ratio:.3g}×") for ratio in ratios)
+        table.add_row(_where(table, comparison.group), *cells, Text(_verdict(comparison)))
     return table
 
 
 def _verdict(found: Comparison) -> str:
+    names = [found.a.record.label, found.b.record.label]
     if found.error is None:
-        return "no errors to compare"
+        return f"unknown: {names[0]} or {names[1]} has no error to compare"
     if found.tied:
-        return "tied under the noise floor"
-    return f"{(found.a if found.error < 1 else found.b).record.label} is more accurate"
+        return f"{names[0]} is tied with {names[1]}"
+    return " over ".join(names if found.error < 1 else names[::-1])
 
 
 def best_table(path: Path, within: str) -> Table:
     """`best` on a run folder or a records file, as a table to print."""
     found = best(_read(path), within)
-    title = f"The most accurate within {within.strip()}"
-    table = Table("Scene · scenario · split", "Method", title=Text(title), title_justify="left", box=None)
+    table = _table(f"The most accurate within {within.strip()}", [answer.group for answer in found])
+    table.add_column("Method")
     table.add_column("Rel. RMSE", justify="right")
-    table.add_column(found[0].budget.metric.label if found else "Cost", justify="right")
-    table.add_column("Device")
+    table.add_column(parse_budget(within).metric.label, justify="right")
     for answer in found:
+        where = _where(table, answer.group)
         for row in answer.rows:
             error = figure("relative_rmse", METRICS["relative_rmse"].of(row))
             label = row.record.label + (" (tied)" if len(answer.rows) > 1 else "")
-            cost = _cost(answer, row)
-            table.add_row(Text(answer.group.title), Text(label), error, cost, Text(answer.group.device))
+            table.add_row(where, Text(label), error, _cost(answer, row))
         if not answer.rows:
-            table.add_row(Text(answer.group.title), Text(_nothing(answer)), "", "", Text(answer.group.device))
+            table.add_row(where, Text(_nothing(answer)), "", "")
     return table
+
+
+def _table(title: str, found: Iterable[Group]) -> Table:
+    """An empty table; its caption names the device, or its rows do where there are several."""
+    devices = list(dict.fromkeys(group.device for group in found))
+    caption = Text(devices[0]) if len(devices) == 1 else None
+    table = Table("Scene · scenario · split", title=Text(title, "bold"), caption=caption, box=None, header_style="dim")
+    table.title_justify = table.caption_justify = "left"
+    return table
+
+
+def _where(table: Table, group: Group) -> Text:
+    return Text(group.title if table.caption else f"{group.title} on {group.device}")
 
 
 def _cost(answer: Best, row: Row) -> str:

@@ -110,7 +110,7 @@ def test_tables(tmp_path, records):
     for record in records:
         record_files.append(tmp_path / "records.jsonl", record)
     text = shown(compare_table(tmp_path, "operator-ridge", "svd-ridge b4"))
-    assert "operator-ridge b64 is more accurate" in text
+    assert "operator-ridge b64 over svd-ridge b4" in text
     assert "cornell · spot · test" in text
     text = shown(best_table(tmp_path / "records.jsonl", "3ms"))
     assert "operator-ridge b8" in text

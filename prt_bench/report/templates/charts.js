@@ -46,7 +46,10 @@ function short(value) {
   return value < 1e-4 ? value.toExponential(0) : String(+value.toPrecision(3));
 }
 
+let frontiersDrawn = 0; // counts requests: labels are placed when the last one is on the page
+
 function drawFrontier() {
+  const request = ++frontiersDrawn;
   const [x, y] = [$("axis-x").value, $("axis-y").value];
   const [logX, logY] = [$("log-x").checked, $("log-y").checked];
   const fits = (value, log) => value !== null && (!log || value > 0);
@@ -95,6 +98,7 @@ function drawFrontier() {
   });
   const frame = $("chart-frontier");
   Plotly.react(frame, [line, ...legend, ...scatter(timed, "x"), ...scatter(untimed, "x2")], chart, CONFIG).then(() => {
+    if (request !== frontiersDrawn) return;
     const named = [...timed.filter((row) => best.has(row) || row.kind !== "method"), ...untimed];
     Plotly.relayout(frame, { annotations: [...noiseText, ...labels(frame, named, timed, drawable, x, y)] });
   });
