@@ -33,10 +33,11 @@ vec3 direct_irradiance(vec3 position, vec3 normal) {
         vec3 offset = e.position.xyz - position * e.position.w;
         float distance_squared = dot(offset, offset);
         vec3 direction = offset * inversesqrt(max(distance_squared, 1e-30));
-        float strength = max(dot(normal, direction), 0.0) * attenuation(e, direction, distance_squared);
+        float incidence = max(dot(normal, direction), 0.0);
+        float strength = incidence * attenuation(e, direction, distance_squared);
         if (strength > 0.0) {
 #ifdef SHADOWS
-            strength *= visibility(e, position, normal);
+            strength *= visibility(e, position, normal, incidence);
 #endif
             sum += strength * e.intensity.rgb;
         }

@@ -30,7 +30,7 @@ class Screen:
         """Radiance · 2^exposure through the sRGB transfer function into `display`, or another framebuffer."""
         (target or self.display).use()
         self._context.enable_only(moderngl.NOTHING)
-        self._radiance.use(0)
+        self._radiance.use(4)
         self._tone_map["exposure"] = 2.0**exposure
         self._triangle.render(moderngl.TRIANGLES, vertices=3)
 
@@ -97,7 +97,7 @@ class DrawPass:
             to_map = np.eye(4)
             to_map[:3, :3] = rotation.T
             self._programs["sky"]["from_screen"].write(to_glsl(to_map @ directions_from_screen(camera)))
-            texture.use(1)
+            texture.use(3)
             self._sky.render(moderngl.TRIANGLES, vertices=3)
 
 

@@ -46,9 +46,7 @@ class Indirect(ABC):
     @property
     def bytes(self) -> int:
         """GPU memory in bytes."""
-        layout = self.texture
-        width, height, layers = layout.size
-        return width * height * layers * 4 * int(layout.dtype[1])
+        return int(np.prod(self.texture.size)) * self.texture.components * int(self.texture.dtype[1])
 
     @cached_property
     def draw_pass(self) -> DrawPass:
@@ -77,10 +75,11 @@ class Indirect(ABC):
 
 
 class PlainLightmap(Indirect):
-    """Irradiance stored per texel: a reference, or a prediction made elsewhere."""
+    """Irradiance stored per texel, in colour or grey: a reference, or a prediction made elsewhere."""
 
-    def __init__(self, runtime: "Runtime", irradiance: Float[np.ndarray, "T 3"]) -> None:
-        super().__init__(runtime, np.asarray(irradiance, np.float32), {"RECONSTRUCT_LIGHTMAP": 1})
+    def __init__(self, runtime: "Runtime", irradiance: Float[np.ndarray, "T C"]) -> None:
+        colours = np.broadcast_to(irradiance, (len(irradiance), 3)).astype(np.float32)
+        super().__init__(runtime, colours, {"RECONSTRUCT_LIGHTMAP": 1})
 
     def prepare(self, lights: UploadedLights) -> None:
         """Nothing: the light is in the texture."""

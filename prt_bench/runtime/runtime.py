@@ -19,10 +19,12 @@ from prt_bench.runtime.projection import camera_matrix
 from prt_bench.runtime.shadow import ShadowPass
 from prt_bench.scene import Camera
 
-NORMAL_OFFSET = 0.5
-"""How far a point is lifted off its surface before the shadow lookup, in shadow texels."""
+DEPTH_OFFSET = 0.25
+"""How far before its receiver an occluder must lie to cast a shadow, in shadow texels."""
+SURFACE_END = 1.0
+"""How far behind a surface a shadow texel's depth may lie and still belong to it, in shadow texels."""
 RAY_OFFSET = 2.0**-14
-"""The same, relative to the scene's size: the offset of the bake's shadow rays."""
+"""Offset of shadow rays relative to the scene's size, as in the bake; added to DEPTH_OFFSET."""
 
 
 class Runtime:
@@ -47,7 +49,8 @@ class Runtime:
         self.look_from(camera or ds.scene.camera)
         magnitude = max(float(np.abs(ds.scene.bounds).max()), ds.scene.extent)
         self._lighting_defines = {
-            "NORMAL_OFFSET": f"{NORMAL_OFFSET:.9g}",
+            "DEPTH_OFFSET": f"{DEPTH_OFFSET:.9e}",
+            "SURFACE_END": f"{SURFACE_END:.9e}",
             "RAY_OFFSET": f"{RAY_OFFSET * magnitude:.9e}",
             "ATLAS_SIZE": f"{shadow_resolution}.0",
             **({"SHADOWS": 1} if shadows else {}),
@@ -82,7 +85,7 @@ class Runtime:
         """Upload an asset and compile its passes. Raises `AssetError` when it was fitted on another dataset."""
         return LoadedAsset(self, asset)
 
-    def lightmap(self, irradiance: Float[np.ndarray, "T 3"]) -> PlainLightmap:
+    def lightmap(self, irradiance: Float[np.ndarray, "T C"]) -> PlainLightmap:
         """Indirect irradiance given per receiver, for frames of a reference or of any prediction."""
         return PlainLightmap(self, irradiance)
 
@@ -126,7 +129,9 @@ class Runtime:
             indirect.prepare(lights)
         self.shade(lights, indirect, direct, exposure)
 
-    def shade(self, lights: UploadedLights, indirect: Indirect | None, direct: bool, exposure: float) -> None:
+    def shade(
+        self, lights: UploadedLights, indirect: Indirect | None = None, direct: bool = True, exposure: float = 0.0
+    ) -> None:
         """The draw pass and the tone map alone, of what the passes before left."""
         if indirect is not None:
             indirect.bind()
