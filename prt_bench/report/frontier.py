@@ -15,7 +15,7 @@ RANKED_STATUS = frozenset({"ok", "no-gl"})
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One record as one machine ran it; a record timed by several renderers gives several rows."""
+    """One record as one machine ran it; a record timed by several renderers or clocks gives several rows."""
 
     record: Record
     gl: Timing | None
@@ -33,14 +33,16 @@ class Row:
         parts = [f"{host['cpu']} ({host.get('cores')} cores)"] if host.get("cpu") else []
         if self.gl is not None:
             size = "×".join(map(str, self.gl.resolution or ()))
-            parts = [self.gl.device, size, "software rasteriser" if self.gl.software else "", *parts]
+            kind = "software rasteriser" if self.gl.software else ""
+            clock = "" if self.gl.clock == "wall" else f"{self.gl.clock} clock"
+            parts = [self.gl.device, size, kind, clock, *parts]
         elif self.jax is not None:
             parts = [f"no OpenGL; JAX on {self.jax.device}", *parts]
         return " · ".join(part for part in parts if part) or "not timed"
 
 
 def rows(records: Iterable[Record]) -> list[Row]:
-    """One row per record and OpenGL device; a later record of the same row on the same device replaces the earlier."""
+    """One row per record, OpenGL device and clock; a later record of the same row replaces an earlier one."""
     found: dict[tuple[str, ...], Row] = {}
     for record in records:
         by_api = {api: [timing for timing in record.timings if timing.api == api] for api in ("gl", "jax")}

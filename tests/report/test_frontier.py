@@ -1,4 +1,5 @@
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -51,6 +52,12 @@ def test_groups_never_mix_devices(records, make_timings):
     for group in board:
         assert {entry.row.device for entry in group.entries if entry.rank is not None} == {group.device}
     assert {group.device.split(" · ")[0] for group in board} == {"Fast GPU", "llvmpipe (LLVM 15.0.6, 256 bits)"}
+
+
+def test_two_clocks_of_one_device_are_never_ranked_together(make_record, make_timings):
+    wall, jax = make_timings(16)
+    record = make_record(timings=(wall, replace(wall, clock="timer-query"), jax))
+    assert [len(group.entries) for group in groups([record, replace(record, label="b")])] == [2, 2]
 
 
 @pytest.mark.parametrize("change", ["host", "resolution", "no OpenGL"])
