@@ -27,6 +27,7 @@ class Examples(NamedTuple):
     lit: Bool[Array, " n"]
     floor: Float[Array, ""]
 
+    @jax.jit
     def means(self) -> tuple[Float[Array, "M 1"], Float[Array, "T 1"]]:
         """Means of x and y over the lit columns."""
         count = jnp.maximum(jnp.sum(self.lit), 1)
@@ -37,6 +38,7 @@ class Examples(NamedTuple):
         return self._replace(x=(self.x - x) * self.lit, y=(self.y - y) * self.lit)
 
 
+@jax.jit
 def normalised(measured: Float[Array, "N M C"], indirect: Float[Array, "N T C"]) -> Examples:
     """x / ‖x‖ and y / ‖x‖ column by column. Differentiable; a black lighting contributes nothing, to the gradient too."""
     x, y = _columns(measured), _columns(indirect)
