@@ -11,9 +11,9 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from prt_bench import spec  # by module: a method file of this package is called `nearest` too
 from prt_bench.errors import SpecError
 from prt_bench.methods.base import Method
-from prt_bench.spec import nearest
 
 
 @cache
@@ -39,13 +39,13 @@ def method(name: str, **settings: Any) -> Method:
     """A method with its settings. Raises `SpecError` for an unknown name or setting, a wrong type or a value out of range."""
     known = _discover()
     if name not in known:
-        raise SpecError(f"there is no method '{name}'{nearest(name, list(known))}")
+        raise SpecError(f"there is no method '{name}'{spec.nearest(name, list(known))}")
     chosen = known[name]
     types = get_type_hints(chosen)
     allowed = [setting.name for setting in fields(chosen)]
     for setting, value in settings.items():
         if setting not in allowed:
-            raise SpecError(f"method '{name}' has no setting '{setting}'{nearest(setting, allowed)}")
+            raise SpecError(f"method '{name}' has no setting '{setting}'{spec.nearest(setting, allowed)}")
         if not _fits(value, types[setting]):
             raise SpecError(f"{name}: setting '{setting}' must be {_spell(types[setting])}, not {value!r}")
     return chosen(**settings)
