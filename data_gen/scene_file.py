@@ -41,6 +41,8 @@ def read_scene_file(path: Path) -> Scene:
     _check_keys(data, _KEYS, path, "")
     if not isinstance(data.get("mesh"), str):
         raise SceneError(f'scene file {path} names no mesh; add mesh = "FILE"')
+    if not isinstance(data.get("name", ""), str):
+        raise SceneError(f"scene file {path}: name is {data['name']!r}, but must be a text in quotes")
     options = MeshOptions(
         name=data.get("name", path.stem),
         scale=_scale(data, path),
