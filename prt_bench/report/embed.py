@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Integer
-from skimage.transform import resize_local_mean
 
 from prt_bench.errors import DatasetError
 from prt_bench.report.pictures import read_picture
@@ -91,10 +90,19 @@ def _same_difference(a: Pair, b: Pair) -> bool:
 
 
 def shrink(image: Float[np.ndarray, "H W 3"], width: int) -> Float[np.ndarray, "h w 3"]:
-    """Averaged down to `width` pixels where it is wider."""
+    """Averaged by area down to `width` pixels where it is wider; the mean stays."""
     if image.shape[1] <= width:
         return image
-    return resize_local_mean(image, (max(round(image.shape[0] * width / image.shape[1]), 1), width)).astype(np.float32)
+    rows = _overlaps(image.shape[0], max(round(image.shape[0] * width / image.shape[1]), 1))
+    columns = _overlaps(image.shape[1], width)
+    return np.einsum("hH,HWc,wW->hwc", rows, image, columns, optimize=True).astype(np.float32)
+
+
+def _overlaps(before: int, after: int) -> Float[np.ndarray, "after before"]:
+    """The share of each old pixel in each new one, along one axis."""
+    edges = np.arange(after + 1)[:, None] * (before / after)
+    left, right = np.arange(before), np.arange(1, before + 1)
+    return np.clip(np.minimum(edges[1:], right) - np.maximum(edges[:-1], left), 0, None) * (after / before)
 
 
 def encode_reference(image: Float[np.ndarray, "H W 3"]) -> Encoded:

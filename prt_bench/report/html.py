@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import matplotlib
 import numpy as np
 from markupsafe import Markup
 from PIL import Image
+from plotly.colors import sequential
 from plotly.offline import get_plotlyjs
 
 from prt_bench import records as record_files
@@ -77,8 +77,20 @@ def page_data(board: Sequence[Group], pictures: Mapping[Row, Mapping[str, tuple[
         "parts": ERROR_PARTS,
         "groups": [_group_data(group, pictures) for group in board],
         "levels": LEVELS,
-        "colormap": (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).round().astype(int).tolist(),
+        "colormap": _colormap(),
     }
+
+
+def _colormap() -> list[list[int]]:
+    """256 colours of magma, as FLIP shows errors."""
+    anchors = np.array([[int(hexa[i : i + 2], 16) for i in (1, 3, 5)] for hexa in sequential.Magma])
+    at = np.linspace(0, len(anchors) - 1, 256)
+    return (
+        np.stack([np.interp(at, np.arange(len(anchors)), channel) for channel in anchors.T], 1)
+        .round()
+        .astype(int)
+        .tolist()
+    )
 
 
 def _group_data(group: Group, pictures: Mapping[Row, Mapping[str, tuple[str, str]]]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 /* The three charts. Frontiers come computed with the data; nothing is ranked here. */
 const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"]; // Okabe and Ito
-const MARKERS = { method: "circle", floor: "square-open", ceiling: "triangle-up-open", oracle: "star-diamond-open" };
+const SHAPES = ["circle", "square", "diamond", "triangle-up", "cross"]; // one more for every six methods
+const MARKERS = { floor: "square-open", ceiling: "triangle-up-open", oracle: "star-diamond-open" };
 const KIND_NAMES = { floor: "floor", ceiling: "ceiling", oracle: "oracle: not real-time" };
 const PARTS = {
   noise_floor: ["noise of the reference", "#999999"], projection: ["projection", "#0072b2"],
@@ -9,6 +10,7 @@ const PARTS = {
 const SIZE_MARKERS = { relative_rmse: { symbol: "line-ns-open", size: 15, line: { width: 2 } }, measurement: { symbol: "x-thin-open", size: 7, line: { width: 1.4 } } };
 const METHODS = [...new Set(data.groups.flatMap((each) => each.rows.filter((row) => row.kind === "method").map((row) => row.method)))];
 const colour = (row) => (row.kind === "method" ? PALETTE[METHODS.indexOf(row.method) % PALETTE.length] : css("--soft"));
+const symbol = (row) => MARKERS[row.kind] ?? SHAPES[Math.floor(METHODS.indexOf(row.method) / PALETTE.length) % SHAPES.length];
 const plain = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;");
 const named = (metric) => data.metrics[metric].label + (data.metrics[metric].unit ? ` [${data.metrics[metric].unit}]` : "");
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
@@ -63,15 +65,15 @@ function drawFrontier() {
   const family = (row) => (row.kind === "method" ? row.method : row.kind);
   const families = [...new Map(drawable.map((row) => [family(row), row]))];
   const legend = families.map(([name, row]) => ({ type: "scatter", mode: "markers", name: plain(KIND_NAMES[name] ?? name), x: [null], y: [null], hoverinfo: "skip",
-    marker: { symbol: MARKERS[row.kind], color: colour(row), size: 9 } }));
+    marker: { symbol: symbol(row), color: colour(row), size: 9 } }));
   const scatter = (rows, on) => families.map(([name]) => {
     const members = rows.filter((row) => family(row) === name);
     return {
       type: "scatter", mode: "markers", showlegend: false, xaxis: on,
       x: members.map((row) => (on === "x" ? row.values[x] : 0)), y: members.map((row) => row.values[y]),
-      error_x: { type: "data", array: members.map((row) => (on === "x" && row.spread[x]) || 0), thickness: 1, width: 0, color: css("--soft") },
+      error_x: { type: "data", array: members.map((row) => (on === "x" && row.spread[x]) || 0), thickness: 1, width: 0, color: css("--rule") },
       marker: {
-        symbol: MARKERS[members[0]?.kind ?? "method"], color: members.map(colour), size: members.map((row) => (best.has(row) ? 11 : 9)),
+        symbol: members.map(symbol), color: members.map(colour), size: members.map((row) => (best.has(row) ? 11 : 9)),
         opacity: members.map((row) => (best.has(row) || row.kind !== "method" ? 1 : 0.35)), line: { width: members[0]?.kind === "method" ? 0 : 1.6, color: colour(members[0] ?? { kind: "" }) },
       },
       text: members.map(hover), hovertemplate: "%{text}<extra></extra>",
@@ -148,14 +150,16 @@ function drawErrors() {
       ? { type: "bar", orientation: "h", x: rows.map((row) => 100 * (row.errors[part] ?? 0) ** 2 / whole(row)), marker: { color: fill, line: { color: css("--paper"), width: 0.5 } } }
       : { type: "scatter", mode: "markers", x: rows.map((row) => row.errors[part] || null), marker: { color: fill, ...SIZE_MARKERS[part] ?? { symbol: "circle", size: 9 } } }),
   }));
-  const longest = Math.min(Math.max(...rows.map((row) => row.label.length)), 40);
+  const frame = $("chart-errors");
+  const room = Math.min(Math.max(...rows.map((row) => row.label.length)), Math.floor(0.4 * frame.clientWidth / 6.8));
+  const clipped = (label) => (label.length > room ? `${label.slice(0, room - 1)}…` : label);
   const sizes = rows.flatMap((row) => Object.keys(parts).map((part) => row.errors[part]).filter((value) => value > 0));
   const across = stacked ? { title: { text: "share of the squared error" }, range: [0, 100.5], ticksuffix: " %" } : axis("error relative to the reference", sizes, true);
   const wholes = stacked ? rows.map((row) => ({ xref: "paper", x: 1, xanchor: "left", xshift: 8, y: plain(row.label), text: row.shown.relative_rmse, showarrow: false, font: { color: css("--ink") } })) : [];
-  const frame = $("chart-errors");
   frame.style.height = `${110 + 25 * rows.length}px`;
-  Plotly.react(frame, traces, layout({ barmode: "stack", bargap: 0.35, xaxis: across, yaxis: { ticks: "", showgrid: !stacked, type: "category", range: [-0.7, rows.length - 0.3] },
-    annotations: wholes, legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0, traceorder: "normal" }, margin: { l: 7.2 * longest + 18, r: stacked ? 70 : 18, t: 46, b: 50 } }), CONFIG);
+  Plotly.react(frame, traces, layout({ barmode: "stack", bargap: 0.35, xaxis: across, yaxis: { ticks: "", showgrid: !stacked, type: "category", range: [-0.7, rows.length - 0.3],
+      tickvals: rows.map((row) => plain(row.label)), ticktext: rows.map((row) => plain(clipped(row.label))) },
+    annotations: wholes, legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0, traceorder: "normal" }, margin: { l: 6.8 * room + 18, r: stacked ? 70 : 18, t: 46, b: 50 } }), CONFIG);
   $("note-errors").textContent = stacked
     ? "Errors add in squares, so a bar shows each part's share of the squared sum; the relative RMSE stands at its end. Projection is the best the basis could do; coefficient is what the transfer adds to it; storage is the shipped asset against the fitted model; runtime is OpenGL against JAX on the same measured light."
     : "The same parts, each at its own size, beside the whole relative RMSE. Shadow-mapped measurement is the error of the light that the renderer measures, before any transfer.";
@@ -192,5 +196,5 @@ function startCharts() {
   }
   $("errors-mode").onchange = drawErrors;
   let pause = 0;
-  addEventListener("resize", () => { clearTimeout(pause); pause = setTimeout(drawFrontier, 200); });
+  addEventListener("resize", () => { clearTimeout(pause); pause = setTimeout(drawCharts, 200); });
 }
