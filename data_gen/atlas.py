@@ -8,7 +8,7 @@ import logging
 
 import numpy as np
 import xatlas
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
