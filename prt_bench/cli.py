@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 
 import prt_bench as prt
-from prt_bench.errors import PrtBenchError, SpecError
+from prt_bench.errors import PrtBenchError, RuntimeUnavailable, SpecError
 
 _out = Console()
 
@@ -72,13 +72,19 @@ def _evaluate(args: argparse.Namespace) -> None:
 
 def _time(args: argparse.Namespace) -> None:
     from prt_bench.frames import time_assets
+    from prt_bench.runtime.runtime import Runtime
     from prt_bench.spec import TimeSpec
 
     ds = prt.LightingDataset.open(args.dataset)
     assets = {str(path): prt.load_asset(path) for path in args.assets}
-    for name, timings in time_assets(ds, assets, TimeSpec(rounds=args.rounds)).items():
+    try:
+        runtime = Runtime(ds)
+    except RuntimeUnavailable as error:
+        print(f"prt-bench: {error}; timing JAX alone", file=sys.stderr)
+        runtime = None
+    for path, timings in time_assets(ds, assets, TimeSpec(rounds=args.rounds), runtime).items():
         for timing in timings:
-            print(f"{name}  {timing.api} on {timing.device} ({timing.clock} clock)")
+            print(f"{path}  {timing.api} on {timing.device} ({timing.clock} clock)")
             for stage, figure in timing.stages.items():
                 print(f"  {stage:<12} {figure.median:10.4f} ms  IQR {figure.iqr:.4f}  over {figure.rounds} rounds")
 

@@ -4,6 +4,7 @@ Errors are those of the asset that ships, loaded back from disk. Timings and ren
 """
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ def evaluate(
     asset: RuntimeAsset | None = None,
     method: Method | None = None,
     label: str | None = None,
-    seconds: dict[str, float] | None = None,
+    seconds: Mapping[str, float] | None = None,
 ) -> Record:
     """Compare a model with the light of `ds`, a split of held-out lightings, and return a record without timings.
 
@@ -43,22 +44,32 @@ def evaluate(
     if asset is None and model.kernels:
         with tempfile.TemporaryDirectory() as folder:
             return evaluate(model, ds, model.export(Path(folder) / "asset"), method, label, seconds)
+    return replace(
+        describe(ds, method, label or (method.label if method else type(model).__name__), seconds),
+        status="ok" if asset else "oracle",
+        reason=None if asset else "it needs the answer to predict it",
+        errors=errors(model, ds, asset),
+        bytes=_sizes(asset) if asset else {},
+        curves={} if model.spectrum is None else {"singular_values": np.asarray(model.spectrum).tolist()},
+        asset={"sha256": asset.sha256, "dtype": asset.dtype} if asset else {},
+    )
+
+
+def describe(
+    ds: LightingDataset, method: Method | None, label: str, seconds: Mapping[str, float] | None = None
+) -> Record:
+    """A record that says what was run on what, before anything is measured; its status is "failed" until someone knows better."""
     return Record(
         scene=ds.scene.name,
         scenario=str(ds.metadata["scenario"]),
         split=split_name(ds),
-        method=method.name if method else type(model).__name__,
-        label=label or (method.label if method else type(model).__name__),
+        method=method.name if method else label,
+        label=label,
         settings=asdict(method) if method else {},
         role=method.role if method else "method",
-        status="ok" if asset else "oracle",
-        reason=None if asset else "it needs the answer to predict it",
-        errors=errors(model, ds, asset),
+        status="failed",
         seconds={"bake": float(sum(ds.metadata.get("seconds", {}).values())), **(seconds or {})},
-        bytes=_sizes(asset) if asset else {},
-        curves={} if model.spectrum is None else {"singular_values": np.asarray(model.spectrum).tolist()},
         dataset=_about(ds),
-        asset={"sha256": asset.sha256, "dtype": asset.dtype} if asset else {},
         provenance=provenance(),
     )
 

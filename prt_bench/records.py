@@ -102,11 +102,11 @@ class Record:
     schema: int = SCHEMA
 
 
-def append(path: Path, record: Record) -> None:
-    """Append one record as one line, in one write, flushed to disk."""
-    line = json.dumps(asdict(record), allow_nan=False) + "\n"
+def append(path: Path, *records: Record) -> None:
+    """Append records, one line each, in one write, flushed to disk."""
+    lines = "".join(json.dumps(asdict(record), allow_nan=False) + "\n" for record in records)
     with path.open("a", encoding="utf-8") as file:
-        file.write(line)
+        file.write(lines)
         file.flush()
         os.fsync(file.fileno())
 

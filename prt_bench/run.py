@@ -6,18 +6,15 @@ that was interrupted goes on with the first pair that has no rows.
 
 import hashlib
 import json
-import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar
 
 import jax
-import numpy as np
 
 from data_gen.bake import bake
 from data_gen.scenes import load_scene
@@ -25,8 +22,8 @@ from prt_bench import records
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
 from prt_bench.errors import PrtBenchError, RuntimeUnavailable, SpecError
-from prt_bench.evaluate import evaluate
-from prt_bench.frames import FrameRows
+from prt_bench.evaluate import describe, evaluate
+from prt_bench.frames import FrameComparison, time_assets
 from prt_bench.methods import method
 from prt_bench.methods.base import Method
 from prt_bench.models import Model
@@ -35,7 +32,6 @@ from prt_bench.records import Record
 from prt_bench.report import write_leaderboard, write_report
 from prt_bench.spec import MethodSpec, RunSpec
 
-T = TypeVar("T")
 _MARK = "run.json"
 
 
@@ -51,12 +47,6 @@ class Fitted:
     seconds: float = 0.0
     status: str = "ok"
     reason: str | None = None
-    timings: tuple[records.Timing, ...] = field(default=())
-
-    @property
-    def real_time(self) -> bool:
-        """Whether the runtime can run it."""
-        return self.asset is not None
 
 
 def run(spec_path: Path, out: Path | None = None) -> Path:
@@ -79,8 +69,8 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
             settings = {key: value for key, value in asdict(spec.bake).items() if key != "scenarios"}
             ds = bake(scene, scenario, seed=spec.seed, out=folder / "data", **settings)
             rows = [_fit(ds, row, chosen, spec, folder) for row, chosen in track(methods, f"fit {scene.name}")]
-            for record in _measure(ds, rows, spec, folder):
-                records.append(folder / "records.jsonl", record)
+            measured = list(_measure(ds, rows, spec, folder))
+            records.append(folder / "records.jsonl", *measured)
     write_leaderboard(folder)
     write_report(folder)
     return folder
@@ -127,46 +117,31 @@ def _fit(ds: LightingDataset, row: MethodSpec, chosen: Method, spec: RunSpec, fo
 
 def _measure(ds: LightingDataset, rows: Sequence[Fitted], spec: RunSpec, folder: Path) -> Iterator[Record]:
     """Accuracy, frames and timings of all rows on every held-out split."""
+    assets = {row.label: row.asset for row in rows if row.asset is not None}
+    frames, loaded = None, {}
     try:
-        frames = FrameRows(ds, spec.time, folder)
+        frames = FrameComparison(ds, spec.time, folder)
+        loaded = {label: frames.runtime.load(asset) for label, asset in assets.items()}
     except RuntimeUnavailable as error:
-        say(f"no OpenGL: {error}")
-        frames = None
+        say(f"{error}; rows have JAX timings only")
         for row in rows:
-            if row.real_time:
+            if row.asset is not None:
                 row.status, row.reason = "no-gl", str(error)
-    timings = FrameRows.time(frames, ds, {row.label: row.asset for row in rows if row.asset is not None}, spec.time)
+    timings = time_assets(ds, assets, spec.time, frames.runtime if frames else None)
     for split in [name for name in ds.splits if name != "train"]:
         held_out = ds.split(split)
         for row in track(rows, f"evaluate {ds.scene.name} ({split})"):
-            record = _row(row, ds, split, spec)
-            if row.model is not None:
-                measured = evaluate(row.model, held_out, asset=row.asset)
-                record = replace(record, errors=measured.errors, curves=measured.curves, bytes=measured.bytes)
+            seconds = {"fit": row.seconds}
+            if row.model is None:
+                record = describe(held_out, row.method, row.label, seconds)
+            else:
+                record = evaluate(row.model, held_out, row.asset, row.method, row.label, seconds)
                 record = replace(record, timings=timings.get(row.label, ()))
                 if frames is not None:
-                    record = frames.add(record, row.model, row.asset, held_out)
-            yield record
-
-
-def _row(row: Fitted, ds: LightingDataset, split: str, spec: RunSpec) -> Record:
-    about = ds.metadata
-    names = ("hash", "texels", "rays", "bounces", "lightings", "measurements", "channels", "effects", "plan", "predicted")
-    return Record(
-        scene=ds.scene.name,
-        scenario=about["scenario"],
-        split=split,
-        method=row.method.name,
-        label=row.label,
-        settings={**{k: v for k, v in asdict(row.method).items()}, "storage": row.spec.storage},
-        role=row.method.role,
-        status=row.status,
-        reason=row.reason,
-        seconds={"bake": sum(about["seconds"].values()), "fit": row.seconds},
-        dataset={**{name: about[name] for name in names}, "points": len(ds.points)},
-        asset={"sha256": row.asset.sha256, "dtype": row.asset.dtype} if row.asset else {},
-        provenance={**records.provenance(), "seed": spec.seed},
-    )
+                    record = frames.complete(record, row.model, loaded.get(row.label), held_out)
+            settings = {**record.settings, "storage": row.spec.storage}
+            provenance = {**record.provenance, "seed": spec.seed}
+            yield replace(record, status=row.status, reason=row.reason, settings=settings, provenance=provenance)
 
 
 @contextmanager

@@ -1,0 +1,149 @@
+"""What the runtime adds to a row: frames and their errors, parity with JAX, and timings.
+
+Sits above the runtime and the records; `run.py` calls it for every held-out split.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from data_gen.draw import draw_measurement_points
+from prt_bench.assets import RuntimeAsset
+from prt_bench.dataset import LightingDataset
+from prt_bench.images import exposure_for, tone_map, write_png
+from prt_bench.lights import Lighting
+from prt_bench.metrics import flip, ssim
+from prt_bench.models import Model
+from prt_bench.records import Record, Timing
+from prt_bench.report.pictures import write_picture
+from prt_bench.runtime.indirect import Indirect, LoadedAsset
+from prt_bench.runtime.runtime import Runtime
+from prt_bench.runtime.timing import time_assets as time_in_runtime
+from prt_bench.spec import TimeSpec
+from prt_bench.timing import time_stages
+
+FRAMES = 2
+"""Held-out lightings per split that are rendered and compared."""
+PARITY = 8
+"""Held-out lightings per split on which the runtime is compared with JAX and with ray-traced direct light."""
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """Frames of one split lit by the reference lightmaps: final and indirect alone, and the exposure that suits each."""
+
+    lightings: tuple[Lighting, ...]
+    final: tuple[Float[np.ndarray, "H W 3"], ...]
+    indirect: Float[np.ndarray, "H W 3"]
+    exposure: tuple[float, ...]
+    measurement: float
+
+
+class FrameComparison:
+    """Renders rows of one dataset and compares them with frames lit by the reference.
+
+    Raises `RuntimeUnavailable` where there is no OpenGL. `folder` receives the pictures of the test split.
+    """
+
+    def __init__(self, ds: LightingDataset, spec: TimeSpec, folder: Path) -> None:
+        self.runtime = Runtime(ds, spec.size, spec.shadow_resolution)
+        self._name = f"{ds.scene.name}-{ds.metadata['scenario']}"
+        self._folder = folder
+        self.measurement_picture = f"pictures/{self._name}/measurement-points.png"
+        self._references: dict[tuple[int, int], _Reference] = {}
+
+    def complete(self, record: Record, model: Model, loaded: LoadedAsset | None, held_out: LightingDataset) -> Record:
+        """The record with runtime, measurement, FLIP and SSIM errors, runtime bytes and pictures."""
+        reference = self._reference(held_out)
+        predictions = None if loaded else np.asarray(model.predict(_first(held_out, FRAMES)))
+        flips, ssims, pictures = [], [], {}
+        for index, lighting in enumerate(reference.lightings):
+            indirect: Indirect = loaded or self.runtime.lightmap(_rgb(predictions[index]))
+            frame = self.runtime.frame(lighting, indirect)
+            exposure = reference.exposure[index]
+            pair = [tone_map(image, exposure) / 255.0 for image in (frame, reference.final[index])]
+            flips.append(flip(*pair))
+            ssims.append(ssim(*pair))
+            if index == 0 and record.split == "test":
+                alone = self.runtime.frame(lighting, indirect, direct=False)
+                pictures = self._write(record.label, {"prediction": frame, "indirect": alone})
+                pictures |= {name: f"pictures/{self._name}/{name}.exr" for name in ("reference", "indirect_reference")}
+                pictures["measurement_points"] = self.measurement_picture
+        errors = replace(record.errors, flip=float(np.mean(flips)), ssim=float(np.mean(ssims)))
+        sizes = record.bytes
+        if loaded:
+            errors = replace(errors, runtime=_parity(loaded, held_out), measurement=reference.measurement)
+            sizes = {**sizes, "runtime": loaded.bytes}
+        return replace(record, errors=errors, bytes=sizes, pictures=pictures)
+
+    def _reference(self, held_out: LightingDataset) -> _Reference:
+        if held_out.rows not in self._references:
+            lit = _first(held_out, FRAMES)
+            maps = [self.runtime.lightmap(_rgb(values)) for values in lit.indirect]
+            final = tuple(self.runtime.frame(*pair) for pair in zip(lit.lightings, maps, strict=True))
+            alone = self.runtime.frame(lit.lightings[0], maps[0], direct=False)
+            exposure = tuple(exposure_for(image) for image in final)
+            measured = _first(held_out, PARITY)
+            errors = [
+                _relative(self.runtime.measure(lighting), _rgb(x))
+                for lighting, x in zip(measured.lightings, measured.measured, strict=True)
+            ]
+            found = _Reference(lit.lightings, final, alone, exposure, float(np.sqrt(np.mean(np.square(errors)))))
+            self._references[held_out.rows] = found
+            if held_out.rows == held_out.splits["test"]:
+                self._write("", {"reference": final[0], "indirect_reference": alone})
+                draw_measurement_points(held_out, self._folder / self.measurement_picture)
+        return self._references[held_out.rows]
+
+    def _write(self, label: str, images: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Write pictures and return their paths relative to the run's folder."""
+        paths = {}
+        for name, image in images.items():
+            place = Path("pictures") / self._name / label.replace(" ", "-") / f"{name}.exr"
+            write_picture(self._folder / place, image)
+            paths[name] = place.as_posix()
+            if name in ("prediction", "reference"):
+                write_png((self._folder / place).with_suffix(".png"), tone_map(image, exposure_for(image)))
+        return paths
+
+
+def time_assets(
+    ds: LightingDataset, assets: Mapping[str, RuntimeAsset], spec: TimeSpec, runtime: Runtime | None
+) -> dict[str, tuple[Timing, ...]]:
+    """Timings of assets by label under the first test lighting: in the runtime, when there is one, and in JAX."""
+    test = ds.split("test")
+    in_jax = time_stages(assets, test, spec.rounds, spec.warmup)
+    if runtime is None:
+        return {label: (timing,) for label, timing in in_jax.items()}
+    in_runtime = time_in_runtime(runtime, assets, test.lightings[0], spec.rounds, spec.warmup)
+    return {label: (*in_runtime[label], in_jax[label]) for label in assets}
+
+
+def _parity(loaded: LoadedAsset, held_out: LightingDataset) -> float:
+    """Largest relative difference between the runtime and JAX from the same measured vectors."""
+    model = loaded.asset.model()
+    worst = 0.0
+    for x in _first(held_out, PARITY).measured:
+        observed = jnp.asarray(_rgb(x)[None], jnp.float32)
+        expected = np.asarray(model.reconstruct(model.transfer(observed)))[0]
+        worst = max(worst, _relative(loaded.predict(np.asarray(observed[0])), expected))
+    return worst
+
+
+def _first(ds: LightingDataset, count: int) -> LightingDataset:
+    first, last = ds.rows
+    return replace(ds, rows=(first, min(first + count, last)))
+
+
+def _rgb(values: Float[np.ndarray, "P C"]) -> Float[np.ndarray, "P 3"]:
+    """RGB from one or three channels."""
+    return np.broadcast_to(values, (len(values), 3))
+
+
+def _relative(found: np.ndarray, expected: np.ndarray) -> float:
+    size = float(np.linalg.norm(expected))
+    return float(np.linalg.norm(found - expected)) / size if size > 0 else 0.0
