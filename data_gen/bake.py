@@ -90,7 +90,7 @@ def bake(
         return LightingDataset.open(path)
 
     lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
-    points = measurement_points(scene, measurements, supersampling, seed)
+    points = measurement_points(scene, measurements, supersampling, seed, tracer)
     light = LightPass(transport, tracer, emitters(lights), settings)
     columns = len(lights) * light.channels
     with resumable(path, int(1.1 * 4 * len(transport.receivers) * columns * 2.25)) as (partial, journal):
@@ -230,13 +230,13 @@ def _draw(
     scene: Scene, scenario: str, count: int, ood: Sequence[str], seed: int, tracer: Tracer
 ) -> tuple[tuple[Lighting, ...], dict[str, tuple[int, int]]]:
     """Training, test and out-of-scenario lightings in one sequence, and where each split lies in it."""
-    wanted = [("train", scenario, count, seed), ("test", scenario, max(HELD_OUT_LEAST, ceil(count / 4)), seed + 1)]
-    wanted += [(f"ood-{name}", name, HELD_OUT_LEAST, seed + 1) for name in ood]
+    wanted = [("train", scenario, count), ("test", scenario, max(HELD_OUT_LEAST, ceil(count / 4)))]
+    wanted += [(f"ood-{name}", name, HELD_OUT_LEAST) for name in ood]
     lights: list[Lighting] = []
     splits = {}
-    for split, kind, number, split_seed in wanted:
+    for split, kind, number in wanted:
         splits[split] = (len(lights), len(lights) + number)
-        lights += sample_lightings(scene, kind, number, split_seed, tracer)
+        lights += sample_lightings(scene, kind, number, [seed, int(split != "train")], tracer)
     return tuple(lights), splits
 
 
