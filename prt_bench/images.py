@@ -19,7 +19,7 @@ def tone_map(radiance: Float[np.ndarray, "H W 3"], exposure: float = 0.0) -> UIn
 
 
 def exposure_for(radiance: Float[np.ndarray, "H W 3"], quantile: float = 0.98) -> float:
-    """The exposure in stops that brings a quantile of the lit pixels' luminance just below white; 0 for a black frame."""
+    """The exposure in stops that brings a quantile of the lit pixels' luminance to white; 0 for a black frame."""
     luminance = np.asarray(radiance, np.float64) @ _LUMINANCE
     lit = luminance[luminance > 0]
     return float(-np.log2(np.quantile(lit, quantile))) if lit.size else 0.0

@@ -1,8 +1,9 @@
 """Repeated timings: their statistics, and the three stages of a model in JAX. Needs no OpenGL."""
 
 import time
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +12,32 @@ import numpy as np
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
 from prt_bench.errors import SpecError
-from prt_bench.lights import Lighting, emitters, irradiance
+from prt_bench.lights import Emitters, emitters, irradiance
 from prt_bench.records import Stage, Timing
+
+Key = TypeVar("Key", bound=Hashable)
+Work = TypeVar("Work")
+
+
+def interleaved(
+    works: Mapping[Key, Work], clock: Callable[[Work], float], rounds: int, warmup: int
+) -> dict[Key, Stage]:
+    """Time every piece of work once a round, so that drift of the machine hits all alike; nobody is always first.
+
+    `clock` runs one piece and returns milliseconds. The first `warmup` rounds are not counted. Raises `SpecError` for
+    less than one round.
+    """
+    if rounds < 1:
+        raise SpecError(f"timing needs at least one round, not {rounds}")
+    order = list(works)
+    samples: dict[Key, list[float]] = {key: [] for key in order}
+    for round_ in range(warmup + rounds):
+        turn = round_ % len(order)
+        for key in order[turn:] + order[:turn]:
+            elapsed = clock(works[key])
+            if round_ >= warmup:
+                samples[key].append(elapsed)
+    return {key: stage_of(milliseconds) for key, milliseconds in samples.items()}
 
 
 def stage_of(milliseconds: Sequence[float]) -> Stage:
@@ -21,47 +46,54 @@ def stage_of(milliseconds: Sequence[float]) -> Stage:
     return Stage(float(median), float(high - low), len(milliseconds))
 
 
-def time_jax(
-    assets: Sequence[RuntimeAsset], ds: LightingDataset, lighting: Lighting, rounds: int = 7, warmup: int = 2
-) -> list[Timing]:
-    """Wall-clock timings in float32 of measure, transfer and reconstruct for each asset, compiled, one lighting at a time.
+def time_stages(
+    assets: Mapping[str, RuntimeAsset], ds: LightingDataset, rounds: int = 7, warmup: int = 2
+) -> dict[str, Timing]:
+    """Wall-clock timings of measure, transfer and reconstruct per asset, for the first lighting of `ds`.
 
-    Measuring is unoccluded irradiance at the dense points times a given visibility (finding it is not counted) and the
-    average over groups; it is the same for all assets. Rounds are interleaved over stages and assets. Raises `SpecError`
-    for fewer than one round.
+    Compiled, in float32. Measuring is irradiance at the dense points times a given visibility (finding it is not
+    counted) and the average over groups; it is the same for all assets. Rounds are interleaved over stages and assets.
+    Raises `SpecError` for less than one round.
     """
-    if rounds < 1:
-        raise SpecError(f"timing needs at least one round, not {rounds}")
-    lights = jax.tree.map(lambda leaf: jnp.asarray(leaf[0], jnp.float32), emitters([lighting]))
-    dense = [jnp.asarray(part, jnp.float32) for part in (ds.dense_points.position, ds.dense_points.normal)]
+    lights = jax.tree.map(lambda leaf: jnp.asarray(leaf[0], jnp.float32), emitters(ds.lightings[:1]))
+    position, normal = (jnp.asarray(part, jnp.float32) for part in (ds.dense_points.position, ds.dense_points.normal))
     visibility = jnp.ones((len(ds.dense_points), lights.position.shape[0]), jnp.float32)
     groups = jnp.asarray(ds.groups)
-    measure = jax.jit(lambda lights, visibility: irradiance(lights, *dense, visibility)[groups].mean(axis=1)[None])
+
+    @jax.jit
+    def measure(lights: Emitters, visibility: jax.Array) -> jax.Array:
+        return irradiance(lights, position, normal, visibility)[groups].mean(axis=1)[None]
+
     x = measure(lights, visibility)
 
-    works: list[tuple[tuple[int, str], Callable[[], jax.Array]]] = [((-1, "measure"), lambda: measure(lights, visibility))]
-    for index, asset in enumerate(assets):
+    works: dict[tuple[str, str], Callable[[], jax.Array]] = {("", "measure"): partial(measure, lights, visibility)}
+    for label, asset in assets.items():
         model = asset.model()
         transfer, reconstruct = jax.jit(model.transfer), jax.jit(model.reconstruct)
         u = transfer(x)
-        works.append(((index, "transfer"), lambda transfer=transfer: transfer(x)))
-        works.append(((index, "reconstruct"), lambda reconstruct=reconstruct, u=u: reconstruct(u)))
-    samples: dict[tuple[int, str], list[float]] = defaultdict(list)
-    for round_ in range(-warmup, rounds):
-        turn = round_ % len(works)  # nobody is always first
-        for key, work in works[turn:] + works[:turn]:
-            started = time.perf_counter()
-            work().block_until_ready()
-            if round_ >= 0:
-                samples[key].append((time.perf_counter() - started) * 1e3)
+        works[label, "transfer"] = partial(transfer, x)
+        works[label, "reconstruct"] = partial(reconstruct, u)
 
+    def clock(work: Callable[[], jax.Array]) -> float:
+        started = time.perf_counter()
+        work().block_until_ready()
+        return (time.perf_counter() - started) * 1e3
+
+    stages = interleaved(works, clock, rounds, warmup)
     device = jax.devices()[0]
     name = f"JAX {device.platform} ({device.device_kind})"
-    owners = [{"measure": -1, "transfer": index, "reconstruct": index} for index in range(len(assets))]
-    return [
-        Timing(
-            "jax", name, device.platform == "cpu", "wall", None,
-            {stage: stage_of(samples[owner, stage]) for stage, owner in stages.items()},
+    return {
+        label: Timing(
+            api="jax",
+            device=name,
+            software=device.platform == "cpu",
+            clock="wall",
+            resolution=None,
+            stages={
+                "measure": stages["", "measure"],
+                "transfer": stages[label, "transfer"],
+                "reconstruct": stages[label, "reconstruct"],
+            },
         )
-        for stages in owners
-    ]  # fmt: skip
+        for label in assets
+    }

@@ -15,11 +15,14 @@ _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software", "swiftshader", "lavap
 def headless() -> moderngl.Context:
     """The process's headless context. Raises `RuntimeUnavailable` when the machine has no usable OpenGL."""
     try:
-        context = moderngl.create_context(require=REQUIRED_VERSION, standalone=True, backend="egl")
+        context = moderngl.create_context(
+            require=REQUIRED_VERSION,
+            standalone=True,
+            backend="egl",  # pyright: ignore[reportArgumentType]
+        )
     except Exception as error:  # glcontext raises bare exceptions for missing libraries, displays and versions alike
         raise RuntimeUnavailable(
-            f"no OpenGL 4.3 context could be made ({error}); on Debian:"
-            " apt-get install libegl1 libgl1 libgl1-mesa-dri"
+            f"no OpenGL 4.3 context could be made ({error}); on Debian: apt-get install libegl1 libgl1 libgl1-mesa-dri"
         ) from error
     context.gc_mode = "auto"
     return context

@@ -31,7 +31,7 @@ class Screen:
         (target or self.display).use()
         self._context.enable_only(moderngl.NOTHING)
         self._radiance.use(4)
-        self._tone_map["exposure"] = 2.0**exposure
+        shaders.uniform(self._tone_map, "exposure").value = 2.0**exposure
         self._triangle.render(moderngl.TRIANGLES, vertices=3)
 
     def read_linear(self) -> Float[np.ndarray, "H W 3"]:
@@ -71,12 +71,12 @@ class DrawPass:
         screen.linear.use()
         screen.linear.clear(depth=1.0)
         for name in ("depth", "back", "shaded"):
-            self._programs[name]["camera"].write(to_glsl(camera))
+            shaders.uniform(self._programs[name], "camera").write(to_glsl(camera))
         ctx.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         ctx.depth_func, ctx.cull_face = "<", "back"
-        screen.linear.color_mask = (False,) * 4
+        screen.linear.color_mask = (False, False, False, False)
         self._meshes["depth"].render(moderngl.TRIANGLES)
-        screen.linear.color_mask = (True,) * 4
+        screen.linear.color_mask = (True, True, True, True)
         ctx.depth_func = "<="
         for first, count, image in self._ranges:
             if image is not None:
@@ -96,7 +96,9 @@ class DrawPass:
         for texture, rotation in lights.environments:
             to_map = np.eye(4)
             to_map[:3, :3] = rotation.T
-            self._programs["sky"]["from_screen"].write(to_glsl(to_map @ directions_from_screen(camera)))
+            shaders.uniform(self._programs["sky"], "from_screen").write(
+                to_glsl(to_map @ directions_from_screen(camera))
+            )
             texture.use(3)
             self._sky.render(moderngl.TRIANGLES, vertices=3)
 

@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import moderngl
 import numpy as np
 from jaxtyping import Float
 

@@ -10,7 +10,7 @@ from prt_bench.points import Lightmap
 
 
 class LightmapLayout:
-    """Which receiver fills each texel: its own, or the nearest one, so that bilinear lookups never meet an empty texel."""
+    """Which receiver fills each texel: its own or the nearest, so that bilinear lookups never meet an empty texel."""
 
     def __init__(self, context: moderngl.Context, lightmap: Lightmap) -> None:
         self._context = context
@@ -43,7 +43,6 @@ def nearest_receiver(lightmap: Lightmap) -> Int[np.ndarray, " texels"]:
     side = lightmap.resolution
     owner = np.full(side * side, -1)
     owner[lightmap.texel] = np.arange(len(lightmap.texel))
-    rows, columns = distance_transform_edt(
-        owner.reshape(side, side) < 0, return_distances=False, return_indices=True
-    )  # fmt: skip
-    return owner.reshape(side, side)[rows, columns].ravel()
+    empty = owner.reshape(side, side) < 0
+    rows, columns = np.asarray(distance_transform_edt(empty, return_distances=False, return_indices=True))
+    return owner[rows * side + columns].ravel()

@@ -1,5 +1,7 @@
 """The scene's mesh on the GPU: one vertex per face corner, sorted by material so that an albedo image is bound once."""
 
+from itertools import pairwise
+
 import moderngl
 import numpy as np
 
@@ -8,7 +10,7 @@ from prt_bench.scene import Material, Scene
 
 
 class MeshBuffers:
-    """Vertex attributes (flat geometric normals, as the transport uses them) and the vertex range of each albedo image."""
+    """Vertex attributes (flat geometric normals, as in the transport) and the vertex range of each albedo image."""
 
     def __init__(self, context: moderngl.Context, scene: Scene, lightmap: Lightmap) -> None:
         self._context = context
@@ -30,11 +32,13 @@ class MeshBuffers:
         self.vertices = 3 * len(order)
         self.has_images = any(material.image is not None for material in materials)
         starts = 3 * np.searchsorted(owner, np.arange(len(materials) + 1))
-        self.ranges = [
-            (int(first), int(last - first), _albedo_texture(context, material))
-            for material, first, last in zip(materials, starts, starts[1:], strict=True)
-            if last > first
-        ] if self.has_images else [(0, self.vertices, None)]  # fmt: skip
+        self.ranges: list[tuple[int, int, moderngl.Texture | None]] = [(0, self.vertices, None)]
+        if self.has_images:
+            self.ranges = [
+                (int(first), int(last - first), _albedo_texture(context, material))
+                for material, (first, last) in zip(materials, pairwise(starts), strict=True)
+                if last > first
+            ]
 
     def bound_to(self, program: moderngl.Program) -> moderngl.VertexArray:
         """A vertex array with the attributes the program uses."""

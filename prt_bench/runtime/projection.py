@@ -1,4 +1,7 @@
-"""View and projection matrices, for the camera and for shadow views. OpenGL's conventions: looking along −z, depth −1 … 1."""
+"""View and projection matrices, for the camera and for shadow views.
+
+OpenGL's conventions: looking along −z, depth from −1 to 1.
+"""
 
 import numpy as np
 from jaxtyping import Float

@@ -30,8 +30,8 @@ RAY_OFFSET = 2.0**-14
 class Runtime:
     """Everything of a baked scene that does not depend on an asset: mesh, camera, shadow atlas, measurement points.
 
-    `size` is the frame's width and height, `shadow_resolution` the side of the shadow atlas in texels, which all views of
-    a lighting share. Without `shadows`, lookups are compiled out. `camera` is the scene's unless given.
+    `size` is the frame's width and height, `shadow_resolution` the side of the shadow atlas in texels, which all views
+    of a lighting share. Without `shadows`, lookups are compiled out. `camera` is the scene's unless given.
     Raises `RuntimeUnavailable` where no OpenGL context can be made.
     """
 

@@ -47,6 +47,14 @@ def program(context: moderngl.Context, vertex: str, fragment: str | None, define
     )
 
 
+def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
+    """A uniform of a program, to be written."""
+    member = program[name]
+    if not isinstance(member, moderngl.Uniform):
+        raise TypeError(f"'{name}' is not a uniform")
+    return member
+
+
 def compute(context: moderngl.Context, name: str, defines: Defines) -> moderngl.ComputeShader:
     """A compute program."""
     return context.compute_shader(source(name, defines))

@@ -86,6 +86,6 @@ def _parallel(towards_light: np.ndarray, bounds: np.ndarray, shrink: float) -> n
 
 def _cone(eye: np.ndarray, axis: np.ndarray, tangent: float, bounds: np.ndarray, shrink: float) -> np.ndarray:
     """Perspective view of the square cone with the given tangent of its half-angle."""
-    near = max(1e-3 * np.linalg.norm(bounds[1] - bounds[0]), 0.5 * distance_to_box(eye, bounds))
-    far = 1.01 * np.linalg.norm(corners(bounds) - eye, axis=1).max()
+    near = max(1e-3 * float(np.linalg.norm(bounds[1] - bounds[0])), 0.5 * distance_to_box(eye, bounds))
+    far = 1.01 * float(np.linalg.norm(corners(bounds) - eye, axis=1).max())
     return perspective(shrink / tangent, shrink / tangent, near, far) @ look_along(eye, axis, any_up(axis))

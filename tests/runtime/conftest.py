@@ -1,4 +1,4 @@
-"""Datasets for the runtime's tests, made by hand: no ray is traced, and every quad of a scene has its own square chart."""
+"""Datasets for the runtime's tests, made by hand: no ray is traced, every quad of a scene has its own square chart."""
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ def points_on(scene: Scene, face: np.ndarray, barycentric: np.ndarray) -> Surfac
 
 
 def quad_dataset(scene: Scene, cell: int = 24, measurements: int = 64, supersamples: int = 8) -> LightingDataset:
-    """A dataset without lightings whose mesh is quads of two faces (0, 1, 2), (0, 2, 3); charts are `cell` texels a side."""
+    """A dataset without lightings: each quad, faces (0, 1, 2) and (0, 2, 3), has a chart of `cell` texels a side."""
     quads = len(scene.mesh.faces) // 2
     side = int(np.ceil(np.sqrt(quads)))
     resolution = side * (cell + GAP)
