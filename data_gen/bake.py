@@ -12,31 +12,24 @@ import time
 from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
 
-from data_gen.atlas import lightmap_points, unwrap
-from data_gen.gather import buried, trace_hits
-from data_gen.hemisphere import HemisphereSampler
-from data_gen.journal import resumable
+from data_gen.journal import content_key, create_array, resumable
 from data_gen.light import LightPass
-from data_gen.plan import Plan, plan
-from data_gen.resolve import HitResolver
+from data_gen.plan import plan
 from data_gen.sampling import measurement_points
 from data_gen.scenarios import check_lightings, sample_lightings
+from data_gen.trace import CHUNK, trace
 from data_gen.tracer import Tracer
-from prt_bench.dataset import LightingDataset, Transport
+from prt_bench.dataset import LightingDataset
 from prt_bench.errors import SpecError
 from prt_bench.lights import EnvironmentLight, Lighting, emitters
 from prt_bench.progress import say, track
 from prt_bench.scene import Scene
-from prt_bench.store import FORMAT, write_array, write_lightmap, write_points, write_scene
-from prt_bench.transport import tail_bounds
+from prt_bench.store import FORMAT, write_array, write_points
 
-CHUNK = 1 << 14
-"""Receivers that are traced, lit and stored together."""
 HELD_OUT_LEAST = 16
 _VERSION = 2  # raise when the same inputs would give other numbers
 
@@ -67,7 +60,17 @@ def bake(
     """
     started = time.perf_counter()
     settings = plan(
-        scene, scenario, lightings, texels, rays, measurements, supersampling, tolerance, gather_texels, tuple(ood), workers
+        scene,
+        scenario,
+        lightings,
+        texels,
+        rays,
+        measurements,
+        supersampling,
+        tolerance,
+        gather_texels,
+        tuple(ood),
+        workers,
     )
     folder = Path(out) if out is not None else data_folder()
     tracer = Tracer(scene, workers)
@@ -85,7 +88,7 @@ def bake(
         "tolerance": tolerance,
         "seed": seed,
     }
-    path = folder / f"dataset-{scene.name}-{scenario}-{_key(about)}.zarr"
+    path = folder / f"dataset-{scene.name}-{scenario}-{content_key(about)}.zarr"
     if path.is_dir():
         return LightingDataset.open(path)
 
@@ -136,60 +139,6 @@ def bake(
     return LightingDataset.open(path)
 
 
-def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer) -> Transport:
-    """Trace the hit tables of a scene once, or open them when they are there already."""
-    about = {
-        "version": _VERSION,
-        "scene": scene.hash,
-        "texels": settings.texels,
-        "gather_texels": settings.gather_texels,
-        "rays": settings.rays,
-        "tolerance": settings.tolerance,
-        "effects": settings.effects,
-        "seed": seed,
-    }
-    path = folder / f"transport-{scene.name}-{_key(about)}.zarr"
-    if path.is_dir():
-        return Transport.open(path)
-    lightmap = unwrap(scene, settings.texels)
-    receivers = lightmap_points(scene, lightmap)
-    shared = settings.gather_texels == settings.texels
-    gather_map = lightmap if shared else unwrap(scene, settings.gather_texels)
-    samples = receivers if shared else lightmap_points(scene, gather_map)
-    resolver = HitResolver.create(gather_map, samples, buried(tracer, samples, seed))
-    sampler = HemisphereSampler.create(settings.rays, seed)
-    index_type = np.uint16 if len(samples) < 2**16 - 1 else np.int32
-
-    tables = [("receiver_hits", receivers)] + ([] if shared else [("sample_hits", samples)])
-    chunks = [(name, points, slice(at, at + CHUNK)) for name, points in tables for at in range(0, len(points), CHUNK)]
-    needed = sum(len(points) for _, points in tables) * settings.rays * index_type().itemsize
-    with resumable(path, int(1.1 * needed)) as (partial, journal):
-        group = zarr.open_group(partial, mode="a")
-        for name, points in tables:
-            shape, chunk = (len(points), settings.rays), (min(CHUNK, len(points)), settings.rays)
-            _create_array(group, name, shape, chunk, index_type)
-        missing = [(index, chunk) for index, chunk in enumerate(chunks) if index not in journal.done]
-        for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
-            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start).astype(index_type)
-            journal.add(index)
-        write_scene(group, scene)
-        write_lightmap(group, "lightmap", lightmap)
-        write_points(group, "receivers", receivers)
-        write_points(group, "samples", samples)
-        sample_hits = "receiver_hits" if shared else "sample_hits"
-        traced = Transport(scene, lightmap, receivers, samples, group["receiver_hits"], group[sample_hits], 0, "")
-        group.attrs.update(
-            {
-                "kind": "transport",
-                "format": FORMAT,
-                "key": _key(about),
-                "sample_hits": sample_hits,
-                "bounces": _needed_bounces(traced, settings),
-            }
-        )
-    return Transport.open(path)
-
-
 def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | None = None) -> LightingDataset:
     """Light a baked scene anew: a dataset in memory with direct and indirect light of `lightings`, as its "test" split.
 
@@ -200,7 +149,9 @@ def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | Non
         raise SpecError("there is no lighting to light the scene with; give at least one prt.Lighting")
     tracer = Tracer(ds.scene, workers)
     check_lightings(ds.scene, lights, tracer)
-    settings = plan(ds.scene, texels=ds.metadata["texels"], rays=ds.metadata["rays"], tolerance=ds.metadata["tolerance"])
+    settings = plan(
+        ds.scene, texels=ds.metadata["texels"], rays=ds.metadata["rays"], tolerance=ds.metadata["tolerance"]
+    )
     passes = LightPass(ds.transport, tracer, emitters(lights), settings)
     passes.prepare()
     parts = [passes.receive(slice(at, at + CHUNK)) for at in range(0, len(ds.points), CHUNK)]
@@ -215,7 +166,15 @@ def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | Non
     metadata = {**ds.metadata, "scenario": "custom", "held_out": 0, "channels": passes.channels, "hash": digest}
     splits = {"test": (0, len(lights))}
     return LightingDataset(
-        ds.transport, ds.measurement_points, ds.dense_points, ds.groups, lights, arrays, splits, metadata, (0, len(lights))
+        ds.transport,
+        ds.measurement_points,
+        ds.dense_points,
+        ds.groups,
+        lights,
+        arrays,
+        splits,
+        metadata,
+        (0, len(lights)),
     )
 
 
@@ -240,34 +199,13 @@ def _draw(
     return tuple(lights), splits
 
 
-def _needed_bounces(transport: Transport, settings: Plan) -> int:
-    """The planner's bound, lowered to what the traced operator needs for the same tolerance."""
-    albedo = transport.samples.albedo.astype(np.float32)
-    bounds = tail_bounds(transport.sample_gather(), albedo, settings.bounces)
-    enough = np.flatnonzero(bounds <= settings.tolerance)
-    if not enough.size and settings.bounces < 2:
-        return settings.bounces
-    if not enough.size:
-        raise SpecError(
-            f"{settings.bounces} bounces leave up to {bounds[-1]:.2g} of the light in '{transport.scene.name}';"
-            " lower the largest albedo or raise the tolerance"
-        )
-    return int(enough[0]) + 1
-
-
 def _create(group: zarr.Group, light: LightPass, training: int, receivers: int) -> dict[str, zarr.Array]:
     count, channels = len(light), light.channels
     rows = {"direct": count, "indirect": count, "indirect_half": count - training}
     return {
-        name: _create_array(group, name, (n, receivers, channels), (n, min(CHUNK, receivers), channels), np.float32)
+        name: create_array(group, name, (n, receivers, channels), (n, min(CHUNK, receivers), channels), np.float32)
         for name, n in rows.items()
     }
-
-
-def _create_array(group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: type) -> Any:
-    if name in group:
-        return group[name]
-    return group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, compressors=None)
 
 
 def _write_lightings(group: zarr.Group, lights: Sequence[Lighting]) -> None:
@@ -282,10 +220,6 @@ def _relative(squares: np.ndarray) -> np.ndarray:
     """Noise over signal per lighting from sums of squares; 0 for a black lighting."""
     noise, signal = squares
     return np.sqrt(np.divide(noise, signal, out=np.zeros_like(noise), where=signal > 0))
-
-
-def _key(about: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _digest(*arrays: np.ndarray) -> str:

@@ -2,6 +2,7 @@
 what is done, and takes its final name only when it is whole."""
 
 import errno
+import hashlib
 import json
 import os
 import shutil
@@ -9,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import zarr
 
 from prt_bench.errors import DatasetError
 
@@ -66,3 +69,15 @@ def resumable(path: Path, needed_bytes: int) -> Iterator[tuple[Path, Journal]]:
         raise
     (partial / "journal.jsonl").unlink(missing_ok=True)
     partial.rename(path)
+
+
+def content_key(about: dict[str, Any]) -> str:
+    """A short name for everything a store depends on."""
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def create_array(group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: type) -> Any:
+    """An array to fill chunk by chunk, or the one an interrupted run left."""
+    if name in group:
+        return group[name]
+    return group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, compressors=None)

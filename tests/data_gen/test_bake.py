@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import prt_bench as prt
-from data_gen import bake as bake_module
+from data_gen import bake as bake_module, trace as trace_module
 from data_gen import journal
 from data_gen.hemisphere import HemisphereSampler, tangent_frames
 from prt_bench.errors import DatasetError, LightError, SpecError
@@ -61,6 +61,7 @@ def test_an_interrupted_bake_resumes_to_the_same_bits(
     scene: prt.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interrupted_after: int
 ) -> None:
     monkeypatch.setattr(bake_module, "CHUNK", 100)
+    monkeypatch.setattr(trace_module, "CHUNK", 100)
     whole = prt.bake(scene, **SMALL, out=tmp_path / "whole")
 
     add, count = journal.Journal.add, 0

@@ -1,0 +1,93 @@
+"""Tracing a scene once: unwrap, shoot, resolve, and store the hit tables under a hash of all they depend on."""
+
+from pathlib import Path
+
+import numpy as np
+import zarr
+
+from data_gen.atlas import lightmap_points, unwrap
+from data_gen.gather import buried, trace_hits
+from data_gen.hemisphere import HemisphereSampler
+from data_gen.journal import content_key, create_array, resumable
+from data_gen.plan import Plan
+from data_gen.resolve import HitResolver
+from data_gen.tracer import Tracer
+from prt_bench.dataset import Transport
+from prt_bench.errors import SpecError
+from prt_bench.progress import track
+from prt_bench.scene import Scene
+from prt_bench.store import FORMAT, write_lightmap, write_points, write_scene
+from prt_bench.transport import tail_bounds
+
+CHUNK = 1 << 14
+"""Receivers that are traced, lit and stored together."""
+_VERSION = 1  # raise when the same inputs would give other hits
+
+
+def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer) -> Transport:
+    """Trace the hit tables of a scene once, or open them when they are there already."""
+    about = {
+        "version": _VERSION,
+        "scene": scene.hash,
+        "texels": settings.texels,
+        "gather_texels": settings.gather_texels,
+        "rays": settings.rays,
+        "tolerance": settings.tolerance,
+        "effects": settings.effects,
+        "seed": seed,
+    }
+    path = folder / f"transport-{scene.name}-{content_key(about)}.zarr"
+    if path.is_dir():
+        return Transport.open(path)
+    lightmap = unwrap(scene, settings.texels)
+    receivers = lightmap_points(scene, lightmap)
+    shared = settings.gather_texels == settings.texels
+    gather_map = lightmap if shared else unwrap(scene, settings.gather_texels)
+    samples = receivers if shared else lightmap_points(scene, gather_map)
+    resolver = HitResolver.create(gather_map, samples, buried(tracer, samples, seed))
+    sampler = HemisphereSampler.create(settings.rays, seed)
+    index_type = np.uint16 if len(samples) < 2**16 - 1 else np.int32
+
+    tables = [("receiver_hits", receivers)] + ([] if shared else [("sample_hits", samples)])
+    chunks = [(name, points, slice(at, at + CHUNK)) for name, points in tables for at in range(0, len(points), CHUNK)]
+    needed = sum(len(points) for _, points in tables) * settings.rays * index_type().itemsize
+    with resumable(path, int(1.1 * needed)) as (partial, journal):
+        group = zarr.open_group(partial, mode="a")
+        for name, points in tables:
+            shape, chunk = (len(points), settings.rays), (min(CHUNK, len(points)), settings.rays)
+            create_array(group, name, shape, chunk, index_type)
+        missing = [(index, chunk) for index, chunk in enumerate(chunks) if index not in journal.done]
+        for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
+            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start).astype(index_type)
+            journal.add(index)
+        write_scene(group, scene)
+        write_lightmap(group, "lightmap", lightmap)
+        write_points(group, "receivers", receivers)
+        write_points(group, "samples", samples)
+        sample_hits = "receiver_hits" if shared else "sample_hits"
+        traced = Transport(scene, lightmap, receivers, samples, group["receiver_hits"], group[sample_hits], 0, "")
+        group.attrs.update(
+            {
+                "kind": "transport",
+                "format": FORMAT,
+                "key": content_key(about),
+                "sample_hits": sample_hits,
+                "bounces": _needed_bounces(traced, settings),
+            }
+        )
+    return Transport.open(path)
+
+
+def _needed_bounces(transport: Transport, settings: Plan) -> int:
+    """The planner's bound, lowered to what the traced operator needs for the same tolerance."""
+    albedo = transport.samples.albedo.astype(np.float32)
+    bounds = tail_bounds(transport.sample_gather(), albedo, settings.bounces)
+    enough = np.flatnonzero(bounds <= settings.tolerance)
+    if not enough.size and settings.bounces < 2:
+        return settings.bounces
+    if not enough.size:
+        raise SpecError(
+            f"{settings.bounces} bounces leave up to {bounds[-1]:.2g} of the light in '{transport.scene.name}';"
+            " lower the largest albedo or raise the tolerance"
+        )
+    return int(enough[0]) + 1
