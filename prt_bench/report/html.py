@@ -20,6 +20,7 @@ from plotly.offline import get_plotlyjs
 
 from prt_bench import records as record_files
 from prt_bench.errors import DatasetError
+from prt_bench.records import Record
 from prt_bench.report.embed import LEVELS, Pair, embed
 from prt_bench.report.frontier import COST_AXES, ERROR_AXES, METRICS, Row, frontier
 from prt_bench.report.leaderboard import COLUMNS, figure, status, write_text
@@ -110,17 +111,21 @@ def _group_data(group: Group, pictures: Mapping[Row, Mapping[str, tuple[str, str
 
 def _row_data(row: Row) -> dict[str, Any]:
     record = row.record
-    kind = record.status if record.status in ("oracle", "failed", "timeout") else record.role
     return {
         "label": record.label,
         "method": record.method,
-        "kind": kind,
+        "kind": _kind(record),
         "status": status(row),
         "values": {metric.name: metric.of(row) for metric in METRICS.values()},
         "shown": {metric.name: figure(metric.name, metric.of(row)) for metric in METRICS.values()},
         "spread": {metric.name: spread for metric in METRICS.values() if (spread := metric.spread(row)) is not None},
         "errors": asdict(record.errors),
     }
+
+
+def _kind(record: Record) -> str:
+    """What the charts' markers tell apart."""
+    return record.status if record.status in ("oracle", "failed", "timeout") else record.role
 
 
 def _curves(members: Iterable[Row]) -> list[dict[str, Any]]:
@@ -132,7 +137,12 @@ def _curves(members: Iterable[Row]) -> list[dict[str, Any]]:
             relative = [value / values[0] for value in values]
             key = row.record.method, tuple(f"{value:.6g}" for value in relative[:4])
             if key not in found or len(found[key]["values"]) < len(relative):
-                found[key] = {"method": row.record.method, "label": row.record.label, "values": relative}
+                found[key] = {
+                    "kind": _kind(row.record),
+                    "method": row.record.method,
+                    "label": row.record.label,
+                    "values": relative,
+                }
     return list(found.values())
 
 

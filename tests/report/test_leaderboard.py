@@ -133,8 +133,9 @@ def test_missing_records_are_one_sentence(tmp_path):
         write_leaderboard(tmp_path)
 
 
-def test_console_shows_every_row_with_its_place(records):
-    terminal = Console(width=160, record=True, file=io.StringIO())
+@pytest.mark.parametrize("width", [80, 160])
+def test_console_shows_every_row_with_its_place(records, width):
+    terminal = Console(width=width, record=True, file=io.StringIO())
     terminal.print(console.leaderboard(records))
     text = terminal.export_text()
     assert text.count("svd-ridge b64") == text.count("mlp-large") == 4

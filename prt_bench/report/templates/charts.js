@@ -35,7 +35,7 @@ function axis(title, values, log, extra = {}) {
     const pad = Math.max(0.09 * (to - from), 0.05);
     const ticks = [];
     for (let power = Math.floor(from - pad); power <= to + pad; power++) {
-      for (const step of to - from > 2.5 ? [1] : to - from > 0.5 ? [1, 2, 5] : [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 9]) ticks.push(step * 10 ** power);
+      for (const step of to - from > 2.5 ? [1] : to - from > 1.2 ? [1, 2, 5] : to - from > 0.5 ? [1, 1.5, 2, 3, 5, 7] : [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 9]) ticks.push(step * 10 ** power);
     }
     return { title: { text: title }, type: "log", range: [from - pad, to + pad], tickvals: ticks, ticktext: ticks.map(short), ...extra };
   }
@@ -93,8 +93,9 @@ function drawFrontier() {
   const noiseText = noise === null ? [] : [{ xref: "paper", x: 1, xanchor: "right", y: logY ? Math.log10(noise) : noise, yanchor: "top", yshift: 1, showarrow: false,
     text: `noise floor ${short(+noise.toPrecision(2))}${$("chart-frontier").clientWidth > 600 ? ": rows below it are tied" : ""}`, font: { size: 11.5, color: css("--soft") } }];
   const gutter = untimed.length > 0;
+  const ends = timed.flatMap((row) => [-1, 1].map((sign) => row.values[x] + sign * (row.spread[x] ?? 0)));
   const chart = layout({
-    xaxis: axis(named(x), timed.map((row) => row.values[x]), logX, { domain: [gutter ? 0.13 : 0, 1], ...(gutter ? { anchor: "y" } : {}) }), yaxis, shapes, annotations: noiseText,
+    xaxis: axis(named(x), ends.filter((value) => fits(value, logX)), logX, { domain: [gutter ? 0.13 : 0, 1], ...(gutter ? { anchor: "y" } : {}) }), yaxis, shapes, annotations: noiseText,
     legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 12.5 } }, margin: { l: 70, r: 18, t: 40, b: 56 },
     ...(gutter ? { xaxis2: { domain: [0, 0.1], range: [-1, 1], tickvals: [0], ticktext: [`no ${data.metrics[x].unit === "ms" ? "time" : "figure"}`], showgrid: false } } : {}),
   });
@@ -138,7 +139,7 @@ function labels(frame, wanted, timed, drawable, x, y) {
 }
 
 function drawErrors() {
-  const rows = group.rows.filter((row) => row.errors.relative_rmse !== null && data.parts.some((part) => row.errors[part])).reverse();
+  const rows = group.rows.filter((row) => row.errors.projection !== null && row.errors.relative_rmse !== null).reverse();
   $("errors").hidden = rows.length === 0;
   if (!rows.length) return;
   const stacked = $("errors-mode").value === "stack";
@@ -161,23 +162,23 @@ function drawErrors() {
       tickvals: rows.map((row) => plain(row.label)), ticktext: rows.map((row) => plain(clipped(row.label))) },
     annotations: wholes, legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0, traceorder: "normal" }, margin: { l: 6.8 * room + 18, r: stacked ? 70 : 18, t: 46, b: 50 } }), CONFIG);
   $("note-errors").textContent = stacked
-    ? "Errors add in squares, so a bar shows each part's share of the squared sum; the relative RMSE stands at its end. Projection is the best the basis could do; coefficient is what the transfer adds to it; storage is the shipped asset against the fitted model; runtime is OpenGL against JAX on the same measured light."
+    ? "Errors add in squares, so a bar shows each part's share of the squared sum; the relative RMSE stands at its end. Noise is how far the reference itself may be off, and is partly counted again in what follows. Projection is the best the basis could do; coefficient is what the transfer adds to it; storage is the shipped asset against the fitted model; runtime is OpenGL against JAX on the same measured light. Methods without a basis are left out."
     : "The same parts, each at its own size, beside the whole relative RMSE. Shadow-mapped measurement is the error of the light that the renderer measures, before any transfer.";
 }
 
 function drawSpectrum() {
   $("spectrum").hidden = group.curves.length === 0;
   if (!group.curves.length) return;
-  const traces = group.curves.map((curve) => {
-    const hue = colour({ kind: "method", method: curve.method });
+  const traces = [...group.curves].reverse().map((curve) => { // the best-placed method is drawn last, on top
+    const hue = colour(curve);
     return { type: "scatter", mode: "lines+markers", name: plain(curve.method), x: curve.values.map((_, index) => index + 1), y: curve.values.map((value) => (value > 0 ? value : null)),
       line: { width: 1.4, color: hue }, marker: { size: 4, color: hue }, hovertemplate: `<b>${plain(curve.label)}</b><br>σ<sub>%{x}</sub> / σ<sub>1</sub> = %{y:.3g}<extra></extra>` };
   });
-  const positive = group.curves.flatMap((curve) => curve.values.filter((value) => value > 0));
+  const positive = group.curves.flatMap((curve) => curve.values.filter((value) => value > 1e-7)); // below: rounding
   const frame = $("chart-spectrum");
   frame.style.height = "320px";
   Plotly.react(frame, traces, layout({ xaxis: { title: { text: "index" }, rangemode: "tozero" }, yaxis: axis("σ / σ₁", positive, true), showlegend: true,
-    legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0 }, margin: { l: 66, r: 18, t: 36, b: 50 } }), CONFIG);
+    legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0, traceorder: "reversed" }, margin: { l: 76, r: 18, t: 36, b: 50 } }), CONFIG);
 }
 
 function drawCharts() {

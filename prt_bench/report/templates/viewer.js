@@ -60,12 +60,12 @@ function once(name, make) {
 const referenceOf = (row) => once(row.pictures[view()][1], () => decodeReference(row.pictures[view()][1]));
 const predictionOf = (row) => once(row.pictures[view()].join(" "), async () => decodePrediction(row.pictures[view()][0], await referenceOf(row)));
 
-/* The level that all but one pixel in a hundred stay under. */
+/* The level that all but one lit pixel in fifty stay under; exposure 0 shows it as white. */
 function brightEnd(picture) {
   const levels = new Float32Array(picture.pixels.length / 3);
   for (let index = 0; index < levels.length; index++) levels[index] = Math.max(picture.pixels[3 * index], picture.pixels[3 * index + 1], picture.pixels[3 * index + 2]);
-  levels.sort();
-  return Math.max(levels[Math.floor(0.99 * (levels.length - 1))], 1e-6);
+  const lit = levels.filter((level) => level > 0).sort();
+  return lit.length ? lit[Math.floor(0.98 * (lit.length - 1))] : 1;
 }
 
 function paint(canvas, picture, fill) {
@@ -100,7 +100,7 @@ function difference(canvas, a, b, scale) {
 
 const view = () => $("picture-view").value;
 const pictured = () => group.rows.filter((row) => row.pictures[view()] && row.label !== "reference");
-const gain = () => 2 ** +$("exposure").value * 0.9 / shown.bright;
+const gain = () => 2 ** +$("exposure").value / shown.bright;
 const errorScale = () => 10 ** +$("scale").value * shown.bright;
 
 /* The choice of one side: -1 is the reference, otherwise an index into the group's rows. */
