@@ -71,7 +71,6 @@ function drawFrontier() {
     return {
       type: "scatter", mode: "markers", showlegend: false, xaxis: on,
       x: members.map((row) => (on === "x" ? row.values[x] : 0)), y: members.map((row) => row.values[y]),
-      error_x: { type: "data", array: members.map((row) => (on === "x" && row.spread[x]) || 0), thickness: 1, width: 0, color: css("--rule") },
       marker: {
         symbol: members.map(symbol), color: members.map(colour), size: members.map((row) => (best.has(row) ? 11 : 9)),
         opacity: members.map((row) => (best.has(row) || row.kind !== "method" ? 1 : 0.35)), line: { width: members[0]?.kind === "method" ? 0 : 1.6, color: colour(members[0] ?? { kind: "" }) },
@@ -83,6 +82,8 @@ function drawFrontier() {
   const steps = group.frontiers[`${x} ${y}`].map((index) => group.rows[index]).filter((row) => timed.includes(row));
   const line = { type: "scatter", mode: "lines", x: steps.map((row) => row.values[x]), y: steps.map((row) => row.values[y]),
     line: { shape: "hv", color: css("--ink"), width: 1.2 }, name: "frontier", hoverinfo: "skip", showlegend: steps.length > 1 };
+  const spreads = { type: "scatter", mode: "markers", x: timed.map((row) => row.values[x]), y: timed.map((row) => row.values[y]), marker: { opacity: 0 },
+    error_x: { type: "data", array: timed.map((row) => row.spread[x] ?? 0), thickness: 1, width: 0, color: css("--rule") }, hoverinfo: "skip", showlegend: false };
   const noise = y === "relative_rmse" && fits(group.noise, logY) ? group.noise : null;
   const heights = [...drawable.map((row) => row.values[y]), ...(noise === null ? [] : [noise])];
   const yaxis = axis(named(y), heights, logY, { anchor: "free", position: 0 });
@@ -100,7 +101,7 @@ function drawFrontier() {
     ...(gutter ? { xaxis2: { domain: [0, 0.1], range: [-1, 1], tickvals: [0], ticktext: [`no ${data.metrics[x].unit === "ms" ? "time" : "figure"}`], showgrid: false } } : {}),
   });
   const frame = $("chart-frontier");
-  Plotly.react(frame, [line, ...legend, ...scatter(timed, "x"), ...scatter(untimed, "x2")], chart, CONFIG).then(() => {
+  Plotly.react(frame, [spreads, line, ...legend, ...scatter(timed, "x"), ...scatter(untimed, "x2")], chart, CONFIG).then(() => {
     if (request !== frontiersDrawn) return;
     const named = [...timed.filter((row) => best.has(row) || row.kind !== "method"), ...untimed];
     Plotly.relayout(frame, { annotations: [...noiseText, ...labels(frame, named, timed, drawable, x, y)] });
