@@ -73,7 +73,7 @@ def _finite(factors: _Factors) -> Bool[Array, ""]:
 # --- leading left singular vectors -------------------------------------------------------------------------------------
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
+@partial(jax.jit, static_argnames="count")
 def leading_basis(
     matrix: Float[Array, "T n"], count: int, floor: Float[Array, ""] | float
 ) -> tuple[Float[Array, "T B"], Float[Array, " n"]]:
@@ -89,6 +89,11 @@ def leading_basis(
     projection, every fitted prediction) has the right derivative, and only gaps across the cut are divided by. Where there
     is no gap at the cut the subspace itself is arbitrary; pairs without a gap then add nothing to the derivative.
     """
+    return _leading_basis(matrix, count, floor)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _leading_basis(matrix: Array, count: int, floor: Array | float) -> tuple[Array, Array]:
     u, _, _, squares = _leading(matrix, count, floor)
     return u, jnp.sqrt(squares)
 
@@ -104,7 +109,7 @@ def _leading(matrix: Array, count: int, floor: Array | float) -> tuple[Array, Ar
     return q * jnp.where(kept, jnp.where(height < 0, -1.0, 1.0), 0.0), kept, v, squares
 
 
-@leading_basis.defjvp
+@_leading_basis.defjvp
 def _leading_basis_jvp(count: int, primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
     (matrix, floor), (d_matrix, _) = primals, tangents
     u, kept, v, squares = _leading(matrix, count, floor)
@@ -145,31 +150,36 @@ def relative_damping(x: Float[Array, "M n"], ridge: float | Float[Array, ""]) ->
     return ridge * jnp.sum(x * x) / x.shape[0]
 
 
-@jax.custom_jvp
+@jax.jit
 def ridge(x: Float[Array, "M n"], targets: Float[Array, "B n"], damping: Float[Array, ""]) -> Float[Array, "B M"]:
     """W = argmin ‖W X − targets‖² + λ ‖W‖², by SVD filter factors σ / (σ² + λ); λ = 0 gives the minimum-norm solution.
 
     Forward error ~ eps · κ_λ with κ_λ² = (σ₁² + λ) / (σ_min² + λ); normal equations would square that. Differentiable in all
     arguments for λ > 0, by implicit differentiation of the normal equations (never through the singular vectors).
     """
-    p, _, qt, filters, _ = _filter_factors(x, damping)
+    return _ridge(x, targets, damping)
+
+
+@jax.custom_jvp
+def _ridge(x: Array, targets: Array, damping: Array) -> Array:
+    p, qt, filters, _ = _filter_factors(x, damping)
     return _matmul(_matmul(targets, qt.T) * filters, p.T)
 
 
-def _filter_factors(x: Array, damping: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _filter_factors(x: Array, damping: Array) -> tuple[Array, Array, Array, Array]:
     """Thin SVD of x with the factors of X⁺_λ and of (X Xᵀ + λ)⁻¹ on its left singular vectors."""
     p, s, qt = svd(x)
     kept = s > max(x.shape) * jnp.finfo(x.dtype).eps * s[0]
     damped = s * s + damping
     filters = jnp.where(kept, s / jnp.where(kept, damped, 1.0), 0.0)
     inverse = jnp.where(kept | (damping > 0), 1.0 / jnp.where(damped > 0, damped, 1.0), 0.0)
-    return p, s, qt, filters, inverse
+    return p, qt, filters, inverse
 
 
-@ridge.defjvp
+@_ridge.defjvp
 def _ridge_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     (x, targets, damping), (dx, d_targets, d_damping) = primals, tangents
-    p, _, qt, filters, inverse = _filter_factors(x, damping)
+    p, qt, filters, inverse = _filter_factors(x, damping)
     w = _matmul(_matmul(targets, qt.T) * filters, p.T)
 
     # d of W (X Xᵀ + λ) = C Xᵀ:  dW = [(dC − W dX) Xᵀ + (C − W X) dXᵀ − W dλ] (X Xᵀ + λ)⁻¹
