@@ -1,8 +1,8 @@
 """How far the traced operator's indirect light is from mitsuba's, by bounces, rays and texels.
 
-For each setting: the relative RMSE over lightmap texels and several point lights in the Cornell box, with mitsuba's noise
+For each setting: the relative RMSE over lightmap texels and several point lights in a Cornell box, with mitsuba's noise
 taken out by two independent halves, and its uncertainty (one standard error). Goal: at most 1 % at 128² texels and 1024
-rays. Texels are drawn at random; `--points 0` takes all.
+rays, all bounces. Texels are drawn at random; `--points 0` takes all.
 
     python experiments/accuracy_vs_mitsuba.py [--texels 32 64 128] [--rays 64 256 1024] [--points 1500] [--paths 1024]
 """

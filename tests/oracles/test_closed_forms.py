@@ -43,7 +43,7 @@ def test_two_plates_exchange_their_view_factor(plate: int, direct: float, tmp_pa
     _, found = operator_light(transport, [lighting], bounces=1)
     factor = two_plates.view_factor(transport.receivers.position[here])[:, None]
     arriving = two_plates.ALBEDO * direct * COLOUR
-    # A row counts hits: binomial for independent rays, so that z would have unit variance; with Sobol' rays it has 0.19².
+    # A row counts hits, a binomial for independent rays: z would have unit variance. With Sobol' rays it has 0.19².
     deviation = np.sqrt(factor * (1.0 - factor) / RAYS) * arriving
     z = (found[0, here] - factor * arriving) / deviation
     assert np.abs(z).max() < 1.5
