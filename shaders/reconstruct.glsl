@@ -6,18 +6,18 @@
 layout(binding = 1) uniform sampler2DArray basis;
 
 #ifndef RECONSTRUCT_LIGHTMAP
-layout(std430, binding = 5) readonly buffer Coefficients { vec4 coefficients[]; };
+layout(std140, binding = 0) uniform Coefficients { vec4 coefficients[COEFFICIENTS]; };
 #endif
 
 vec3 indirect_irradiance(vec2 uv) {
 #if defined(RECONSTRUCT_BASIS)
-    vec4 sum = vec4(0.0);
+    vec3 sum = vec3(0.0);
     for (int layer = 0; layer < LAYERS; ++layer) {
         int b = 4 * layer;
-        mat4 block = mat4(coefficients[b], coefficients[b + 1], coefficients[b + 2], coefficients[b + 3]);
+        mat4x3 block = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
         sum += block * textureLod(basis, vec3(uv, layer), 0.0);
     }
-    return sum.rgb;
+    return sum;
 #elif defined(RECONSTRUCT_SELECT)
     vec3 column;
     for (int c = 0; c < 3; ++c) {

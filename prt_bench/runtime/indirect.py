@@ -92,9 +92,11 @@ class LoadedAsset(Indirect):
         if kernels["measure"] != "direct" or kernels["reconstruct"] not in ("basis", "select"):
             raise AssetError(f"{asset.path} has the kernels {kernels}, which this runtime lacks")
         define = f"RECONSTRUCT_{kernels['reconstruct'].upper()}"
-        super().__init__(runtime, basis, {define: 1, "LAYERS": -(-basis.shape[1] // 4)})
+        transfer_pass = TransferPass(runtime.context, asset, runtime.measurement)
+        sizes = {"LAYERS": -(-basis.shape[1] // 4), "COEFFICIENTS": transfer_pass.slots}
+        super().__init__(runtime, basis, {define: 1, **sizes})
         self.asset = asset
-        self.transfer_pass = TransferPass(runtime.context, asset, runtime.measurement)
+        self.transfer_pass = transfer_pass
         check(runtime.context, f"loading {asset.path}")
 
     def prepare(self, lights: UploadedLights) -> None:
@@ -105,7 +107,7 @@ class LoadedAsset(Indirect):
     def bind(self) -> None:
         """Bind basis textures and coefficients."""
         super().bind()
-        self.transfer_pass.coefficients.bind_to_storage_buffer(5)
+        self.transfer_pass.coefficients.bind_to_uniform_block(0)
 
     @property
     def bytes(self) -> int:

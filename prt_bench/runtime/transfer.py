@@ -14,7 +14,8 @@ _NEAREST_WORKGROUP = 256
 
 
 class TransferPass:
-    """One asset's transfer. `coefficients` [B padded to a multiple of 4, 4] is what `reconstruct.glsl` reads."""
+    """One asset's transfer. `coefficients` holds the `slots` vectors that `reconstruct.glsl` reads: B of them padded to
+    a multiple of four, or norm and choice."""
 
     def __init__(self, context: moderngl.Context, asset: RuntimeAsset, measure: MeasurePass) -> None:
         self._context, self._measure = context, measure
@@ -22,10 +23,12 @@ class TransferPass:
         if self.kernel == "linear":
             weights = asset.arrays["weights"]
             file, workgroup, self._workgroups = "linear.comp", _LINEAR_WORKGROUP, self.basis
+            self.slots = 4 * -(-self.basis // 4)
             measurements, extra = weights.shape[2] - 1, {"WEIGHT_CHANNELS": weights.shape[0]}
         elif self.kernel == "nearest":
             weights = asset.arrays["directions"]
             file, workgroup, self._workgroups = "nearest.comp", _NEAREST_WORKGROUP, 1
+            self.slots = 2
             measurements, extra = weights.shape[1], {}
         else:
             raise AssetError(f"{asset.path} needs the transfer kernel '{self.kernel}', which this runtime lacks")
@@ -34,8 +37,13 @@ class TransferPass:
                 f"{asset.path} expects {measurements} measurement points, but the dataset has {measure.count};"
                 " load it with the dataset it was fitted on"
             )
+        most = context.info["GL_MAX_UNIFORM_BLOCK_SIZE"] // 16
+        if self.slots > most:
+            raise AssetError(
+                f"{asset.path} has {self.basis} basis functions; this GPU passes at most {most} coefficients"
+            )
         self._weights = context.buffer(np.ascontiguousarray(weights, "<f4").tobytes())
-        self.coefficients = context.buffer(reserve=16 * max(-(-self.basis // 4) * 4, 4))
+        self.coefficients = context.buffer(reserve=16 * self.slots)
         self.coefficients.clear()
         sizes = {"MEASUREMENTS": measurements, "BASIS": self.basis, "WORKGROUP": workgroup, **extra}
         self._program = shaders.compute(context, file, sizes)

@@ -22,7 +22,7 @@ def active(gl: moderngl.Context, **defines: int) -> set[str]:
 
 
 def test_what_a_frame_does_not_use_is_compiled_out(gl):
-    indirect = {"INDIRECT": 1, "RECONSTRUCT_BASIS": 1, "LAYERS": 4}
+    indirect = {"INDIRECT": 1, "RECONSTRUCT_BASIS": 1, "LAYERS": 4, "COEFFICIENTS": 16}
     assert {"basis", "shadow_atlas"} <= active(gl, DIRECT=1, SHADOWS=1, **indirect)
     baseline = active(gl, DIRECT=1, SHADOWS=1)
     assert "shadow_atlas" in baseline
