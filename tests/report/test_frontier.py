@@ -1,3 +1,5 @@
+"""Metrics of a row, and the frontier of error against cost."""
+
 import random
 from dataclasses import replace
 

@@ -1,3 +1,5 @@
+"""The report is one offline page that holds every row and shows them honestly."""
+
 import base64
 import json
 import re

@@ -1,3 +1,5 @@
+"""Ranks, ties, and the four forms of the leaderboard."""
+
 import csv
 import io
 import json

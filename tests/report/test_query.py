@@ -1,3 +1,5 @@
+"""`compare` and `best` answer from records."""
+
 import io
 
 import pytest
