@@ -63,6 +63,21 @@ def test_punctual_lights_are_exact() -> None:
         np.testing.assert_allclose(found, expected, rtol=3e-4, atol=1e-4)  # the ray offset moves the point by 1e-4
 
 
+def test_shadows_fall_behind_occluders_and_no_further() -> None:
+    lid = quad([(-0.2, 0.5, -0.2), (0.2, 0.5, -0.2), (0.2, 0.5, 0.2), (-0.2, 0.5, 0.2)], 0)
+    ground = quad([(-2, 0, 2), (2, 0, 2), (2, 0, -2), (-2, 0, -2)], 0)
+    scene = Scene("lid", assemble([ground, lid]), (Material("grey"),), Camera((0, 3, 3), (0, 0, 0)))
+    position = np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]])
+    above, below, sun = (
+        PointLight([0.0, 1.5, 0.0], COLOUR),
+        PointLight([0.0, 0.4, 0.0], COLOUR),
+        DirectionalLight([0.0, -1.0, 0.0], COLOUR),
+    )
+    for light, lit in ((above, [False, True]), (below, [True, True]), (sun, [False, True])):
+        found = direct_irradiance(scene, position, np.repeat(UP, 2, 0), Lighting([light])).mean
+        assert found.any(axis=1).tolist() == lit
+
+
 def test_sphere_light_has_the_irradiance_of_its_cone() -> None:
     # A sphere wholly above the horizon: E = π L cosθ sin²α, sin α = r / d.
     center, radius = np.array([0.4, 1.5, 0.2]), 0.5
