@@ -89,9 +89,26 @@ def has_docstring(source: str) -> bool:
     return bool((ast.get_docstring(ast.parse(source)) or "").strip())
 
 
-UNFINISHED = re.compile(
-    r"\b(TODO|FIXME|XXX|HACK)\b|^\s*(raise NotImplementedError(\(\))?|\.\.\.|pass)\s*$", re.MULTILINE
-)
+LEFT_FOR_LATER = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
+
+
+def unfinished(source: str) -> list[str]:
+    """Notes to oneself, and functions that do nothing yet; a fallback of `singledispatch` may refuse the unknown."""
+    found = LEFT_FOR_LATER.findall(source)
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            body = [statement for statement in node.body if not _is_docstring(statement)]
+            text = "; ".join(ast.unparse(statement) for statement in body)
+            fallback = any(ast.unparse(decorator) == "singledispatch" for decorator in node.decorator_list)
+            if text in ("pass", "...") or (text.startswith("raise NotImplementedError") and not fallback):
+                found.append(node.name)
+    return found
+
+
+def _is_docstring(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
 VAGUE = re.compile(r"(^|_)(utils?|helpers?|common|misc)(_|$)")
 
 
@@ -173,23 +190,23 @@ def test_files_say_what_they_are_and_stay_small(path: str):
 
 @pytest.mark.parametrize("path", [path for path in files(*CODE) if path != "tests/test_architecture.py"])
 def test_nothing_is_left_unfinished(path: str):
-    assert not UNFINISHED.findall(files(*CODE)[path])
+    assert not unfinished(files(*CODE)[path])
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "shaders").iterdir()), ids=lambda path: path.name)
 def test_shaders_begin_with_what_they_do(path: Path):
     text = path.read_text(encoding="utf-8")
     assert text.startswith("//")
-    assert not UNFINISHED.findall(text)
+    assert not LEFT_FOR_LATER.findall(text)
     assert text.count("\n") <= MOST_LINES
 
 
 @pytest.mark.parametrize(
     ("rule", "source"),
     [
-        (UNFINISHED.search, "def f():\n    raise NotImplementedError"),
-        (UNFINISHED.search, "def f():\n    ...\n"),
-        (UNFINISHED.search, "x = 1  # TODO: more"),
+        (unfinished, "def f():\n    raise NotImplementedError"),
+        (unfinished, "def f():\n    '''What it will do.'''\n    ..."),
+        (unfinished, "x = 1  # TODO: more"),
         (VAGUE.search, "mesh_utils"),
         (VAGUE.search, "helpers"),
         (lambda source: not has_docstring(source), "x = 1"),
