@@ -15,7 +15,7 @@ FORMAT = 1
 _POINT_FIELDS = ("position", "normal", "albedo", "face", "barycentric")
 
 
-def open_group(path: Path, kind: str) -> zarr.Group:
+def open_group(path: Path, kind: str) -> Any:  # a zarr.Group, whose members have no useful types
     """Open a finished store of `kind` for reading. Raises `DatasetError` when it is missing, foreign or newer."""
     if not path.is_dir():
         raise DatasetError(f"there is no {kind} at {path}; 'prt-bench bake' makes one")
