@@ -83,7 +83,7 @@ class DrawPass:
                 image.use(2)
             self._meshes["shaded"].render(moderngl.TRIANGLES, vertices=count, first=first)
         # Backs lie a little deeper, so that the other side of a two-sided surface, where it has one, wins.
-        ctx.cull_face, ctx.depth_func, ctx.polygon_offset = "front", "<", (1.0, 4.0)
+        ctx.cull_face, ctx.depth_func, ctx.polygon_offset = "front", "<", (0.0, 16.0)
         self._meshes["back"].render(moderngl.TRIANGLES)
         ctx.polygon_offset = (0.0, 0.0)
         self._draw_sky(camera, lights)

@@ -5,7 +5,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from data_gen.geometry import Part, assemble, quad
+from data_gen.geometry import Part, assemble, quad, with_both_sides
 from prt_bench.environment import EnvironmentMap
 from prt_bench.images import exposure_for, tone_map, write_exr, write_png
 from prt_bench.lights import DirectionalLight, EnvironmentLight, Lighting, PointLight
@@ -156,6 +156,23 @@ def test_backs_of_one_sided_surfaces_are_black_and_hide_the_sky():
     runtime = Runtime(quad_dataset(floor_scene(Material(), camera=camera)), size=(16, 16))
     sky = Lighting([EnvironmentLight(np.ones((4, 8, 3))), DirectionalLight((0, 1, 0), (1, 1, 1))])
     assert not runtime.frame(sky).any()
+
+
+@pytest.mark.parametrize("height", [2.0, 0.3, -0.3])
+def test_two_sided_surfaces_show_a_lit_side_from_anywhere(height):
+    material = Material("leaf", two_sided=True)
+    part = quad([(-2, 0, 2), (2, 0, 2), (2, 0, -2), (-2, 0, -2)], 0)
+    mesh = with_both_sides(assemble([part]), (material,))
+    camera = Camera((0.5, height, 3.0), (0.0, 0.0, 0.0), fov_y=50.0)
+    scene, size = Scene("leaf", mesh, (material,), camera), (96, 64)
+    runtime = Runtime(quad_dataset(scene), size=size)
+    light = runtime.lightmap(np.ones((runtime.layout.receivers, 3)))
+    frame = runtime.frame(DARKNESS, light, direct=False)
+    eye, direction = camera_rays(camera, size)
+    position = eye - direction * (eye[1] / direction[..., 1:2])
+    covered = (direction[..., 1] * height < 0) & (np.abs(position[..., [0, 2]]).max(axis=-1) < 1.9)
+    assert covered.any()
+    np.testing.assert_allclose(frame[covered], 0.5 / np.pi, rtol=1e-5)
 
 
 def test_tone_map_is_the_same_on_both_processors(runtime):
