@@ -64,13 +64,18 @@ def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsse
     if dtype not in _DTYPES:
         raise AssetError(f"assets store {' or '.join(_DTYPES)}, not '{dtype}'")
     if not model.kernels:
-        raise AssetError(f"{type(model).__name__} is an oracle: it needs the answer to predict it, so it has no runtime asset")
+        raise AssetError(
+            f"{type(model).__name__} is an oracle: it needs the answer to predict it, so it has no runtime asset"
+        )
     stored = {
-        name: np.ascontiguousarray(array, dtype if name == "basis" else "float32") for name, array in model.arrays().items()
+        name: np.ascontiguousarray(array, dtype if name == "basis" else "float32")
+        for name, array in model.arrays().items()
     }
     for name, array in stored.items():
         if not np.all(np.isfinite(array)):
-            raise AssetError(f"weights '{name}' are not finite in {array.dtype}; store them in a wider dtype or rescale the light")
+            raise AssetError(
+                f"weights '{name}' are not finite in {array.dtype}; store them in a wider dtype or rescale the light"
+            )
     payload = save(stored)
     manifest = {
         "format": "prt-bench runtime asset",

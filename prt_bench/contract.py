@@ -1,6 +1,6 @@
 """What every method must keep, as plain checks: `prt-bench check-method NAME` and the contract tests run the same ones.
 
-Each check takes a method and a dataset and returns a sentence that says what it measured; it raises `Broken` where the
+Each check takes a method and a dataset and returns a sentence that says what it measured; it raises `BrokenContract` where the
 contract does not hold.
 """
 
@@ -19,12 +19,11 @@ import numpy as np
 from prt_bench.dataset import LightingDataset
 from prt_bench.example import example_dataset
 from prt_bench.methods.base import Method
-from prt_bench.models import Model
 
-__all__ = ["CHECKS", "Broken", "Finding", "check_method", "example_dataset"]
+__all__ = ["CHECKS", "BrokenContract", "Finding", "check", "example_dataset"]
 
 
-class Broken(AssertionError):
+class BrokenContract(AssertionError):
     """A method does not keep the contract."""
 
 
@@ -36,19 +35,21 @@ class Finding(NamedTuple):
     detail: str
 
 
-def check_method(method: Method, ds: LightingDataset | None = None) -> list[Finding]:
+def check(method: Method, ds: LightingDataset | None = None) -> list[Finding]:
     """Run every check on a method, on the cube room unless told otherwise. Never raises for what a method does wrong."""
     ds = example_dataset() if ds is None else ds
-    return [_run(name, check, method, ds) for name, check in CHECKS.items()]
+    return [_run(name, holds, method, ds) for name, holds in CHECKS.items()]
 
 
-def _run(name: str, check: Callable[[Method, LightingDataset], str], method: Method, ds: LightingDataset) -> Finding:
+def _run(name: str, holds: Callable[[Method, LightingDataset], str], method: Method, ds: LightingDataset) -> Finding:
     try:
-        return Finding(name, True, check(method, ds))
-    except Broken as broken:
+        return Finding(name, True, holds(method, ds))
+    except BrokenContract as broken:
         return Finding(name, False, str(broken))
     except Exception as error:  # a plug-in may fail in any way; the report says where
-        return Finding(name, False, f"{type(error).__name__}: {error} ({traceback.extract_tb(error.__traceback__)[-1]})")
+        return Finding(
+            name, False, f"{type(error).__name__}: {error} ({traceback.extract_tb(error.__traceback__)[-1]})"
+        )
 
 
 def shapes(method: Method, ds: LightingDataset) -> str:
@@ -68,7 +69,10 @@ def transforms(method: Method, ds: LightingDataset) -> str:
     """Stages can be jitted and vmapped over lightings without changing their values."""
     model = method.fit(ds.split("train"))
     x = jnp.asarray(model.measure(ds.split("test")), jnp.float64)
-    for name, stage, argument in (("transfer", model.transfer, x), ("reconstruct", model.reconstruct, model.transfer(x))):
+    for name, stage, argument in (
+        ("transfer", model.transfer, x),
+        ("reconstruct", model.reconstruct, model.transfer(x)),
+    ):
         plain = stage(argument)
         _close(jax.jit(stage)(argument), plain, 1e-10, f"{name} under jit")
         _close(jax.vmap(lambda row, f=stage: f(row[None])[0])(argument), plain, 1e-10, f"{name} under vmap")
@@ -90,7 +94,9 @@ def gradients(method: Method, ds: LightingDataset) -> str:
     difference = (loss(x + step * direction) - loss(x - step * direction)) / (2 * step)
     slope = jnp.vdot(jax.grad(loss)(x), direction)
     scale = float(jnp.linalg.norm(jax.grad(loss)(x)) * jnp.linalg.norm(direction))
-    _require(bool(jnp.all(jnp.isfinite(jax.grad(loss)(jnp.zeros_like(x))))), "the gradient at black light is not finite")
+    _require(
+        bool(jnp.all(jnp.isfinite(jax.grad(loss)(jnp.zeros_like(x))))), "the gradient at black light is not finite"
+    )
     gap = abs(float(slope - difference)) / max(scale, 1e-300)
     _require(gap < 1e-6, f"the gradient is off by {gap:.1e} of its size against central differences")
     return f"off by {gap:.1e} against central differences, finite at black"
@@ -115,7 +121,12 @@ def black(method: Method, ds: LightingDataset) -> str:
     x = jnp.zeros_like(jnp.asarray(model.measure(ds.split("test"))))
     _require(not bool(jnp.any(model.reconstruct(model.transfer(x)))), "a black lighting is not predicted as exactly 0")
     lit = np.flatnonzero(np.any(train.measured, axis=(1, 2)))
-    _close(method.fit(_lightings(train, lit)).predict(ds.split("test")), model.predict(ds.split("test")), 1e-8, "fits without black")
+    _close(
+        method.fit(_lightings(train, lit)).predict(ds.split("test")),
+        model.predict(ds.split("test")),
+        1e-8,
+        "fits without black",
+    )
     return f"0 for black light; {len(train) - len(lit)} black training lightings left out without a trace"
 
 
@@ -150,7 +161,9 @@ def ships(method: Method, ds: LightingDataset) -> str:
     with tempfile.TemporaryDirectory() as folder:
         for dtype, tolerance in (("float32", 2e-5), ("float16", 5e-3)):
             asset = model.export(Path(folder) / dtype, dtype)
-            found.append(f"{dtype} {_close(asset.predict(test), plain, tolerance, f'the {dtype} asset and the model'):.1e}")
+            found.append(
+                f"{dtype} {_close(asset.predict(test), plain, tolerance, f'the {dtype} asset and the model'):.1e}"
+            )
     return "asset against model: " + ", ".join(found)
 
 
@@ -161,10 +174,14 @@ def fit_gradient(method: Method, ds: LightingDataset) -> str:
     measured[2], indirect[2] = measured[3], indirect[3]
     rng = np.random.default_rng(0)
     weight = jnp.asarray(rng.normal(size=test.indirect.shape))
-    fixed = {name: getattr(train, name) for name in ("transport", "measurement_points", "dense_points", "groups", "metadata")}
+    fixed = {
+        name: getattr(train, name) for name in ("transport", "measurement_points", "dense_points", "groups", "metadata")
+    }
 
     def loss(measured: jax.Array, indirect: jax.Array) -> jax.Array:
-        return jnp.sum(weight * method.fit(SimpleNamespace(**fixed, measured=measured, indirect=indirect)).predict(test))
+        return jnp.sum(
+            weight * method.fit(SimpleNamespace(**fixed, measured=measured, indirect=indirect)).predict(test)
+        )
 
     slopes = jax.grad(loss, argnums=(0, 1))(jnp.asarray(measured), jnp.asarray(indirect))
     _require(all(bool(jnp.all(jnp.isfinite(slope))) for slope in slopes), "the gradient has values that are not finite")
@@ -194,7 +211,7 @@ def _lightings(ds: LightingDataset, rows: np.ndarray) -> LightingDataset:
 
 def _require(condition: bool, otherwise: str) -> None:
     if not condition:
-        raise Broken(otherwise)
+        raise BrokenContract(otherwise)
 
 
 def _close(found: jax.Array | np.ndarray, wanted: jax.Array | np.ndarray, tolerance: float, what: str) -> float:

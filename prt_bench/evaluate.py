@@ -26,7 +26,7 @@ _CHUNK_BYTES = 256 * 2**20
 
 
 def evaluate(
-    model: Model,
+    model: Model | RuntimeAsset,
     ds: LightingDataset,
     asset: RuntimeAsset | None = None,
     method: Method | None = None,
@@ -35,22 +35,26 @@ def evaluate(
 ) -> Record:
     """Compare a model with the light of `ds`, a split of held-out lightings, and return a record without timings.
 
-    `asset` is what `model.export` returned; without one the model is exported to a temporary folder, as float32. Oracles,
-    which have no asset, are compared directly. `method` fills in the record's name, settings and role; `seconds` joins the
-    dataset's bake time. Raises `DatasetError` for a split without lightings.
+    `asset` is what `model.export` returned; without one the model is exported to a temporary folder, as float32. An asset
+    alone has no storage error, as there is nothing to compare it with. Oracles, which have no asset, are compared
+    directly. `method` fills in the record's name, settings and role; `seconds` joins the dataset's bake time. Raises
+    `DatasetError` for a split without lightings.
     """
     if len(ds) == 0:
         raise DatasetError(f"the split '{split_name(ds)}' of '{ds.scene.name}' has no lightings to evaluate on")
-    if asset is None and model.kernels:
+    label = label or (method.label if method else type(model).__name__)
+    fitted, asset = (None, model) if isinstance(model, RuntimeAsset) else (model, asset)
+    if asset is None and fitted is not None and fitted.kernels:
         with tempfile.TemporaryDirectory() as folder:
-            return evaluate(model, ds, model.export(Path(folder) / "asset"), method, label, seconds)
+            return evaluate(fitted, ds, fitted.export(Path(folder) / "asset"), method, label, seconds)
+    spectrum = None if fitted is None else fitted.spectrum
     return replace(
-        describe(ds, method, label or (method.label if method else type(model).__name__), seconds),
+        describe(ds, method, label, seconds),
         status="ok" if asset else "oracle",
         reason=None if asset else "it needs the answer to predict it",
-        errors=errors(model, ds, asset),
+        errors=errors(fitted, ds, asset),
         bytes=_sizes(asset) if asset else {},
-        curves={} if model.spectrum is None else {"singular_values": np.asarray(model.spectrum).tolist()},
+        curves={} if spectrum is None else {"singular_values": np.asarray(spectrum).tolist()},
         asset={"sha256": asset.sha256, "dtype": asset.dtype} if asset else {},
     )
 
@@ -58,7 +62,7 @@ def evaluate(
 def describe(
     ds: LightingDataset, method: Method | None, label: str, seconds: Mapping[str, float] | None = None
 ) -> Record:
-    """A record that says what was run on what, before anything is measured; its status is "failed" until someone knows better."""
+    """A record that says what was run on what, before anything is measured: its status is "failed" until then."""
     return Record(
         scene=ds.scene.name,
         scenario=str(ds.metadata["scenario"]),
@@ -74,11 +78,16 @@ def describe(
     )
 
 
-def errors(model: Model, ds: LightingDataset, asset: RuntimeAsset | None = None) -> Errors:
-    """All error figures that need neither a renderer nor a clock. Lightings go through in chunks of bounded memory."""
-    columns = (asset.model() if asset else model).span
-    span = None if columns is None else np.asarray(orthonormal(jnp.asarray(columns, jnp.float64)))
-    parts = [_chunk_figures(model, asset, part, span) for part in _chunks(ds)]
+def errors(fitted: Model | None, ds: LightingDataset, asset: RuntimeAsset | None = None) -> Errors:
+    """All error figures that need neither a renderer nor a clock, of the asset where there is one.
+
+    The storage error needs both the fitted model and the asset. Lightings go through in chunks of bounded memory.
+    """
+    model = fitted if asset is None else asset.model()
+    if model is None:
+        raise ValueError("give errors() a fitted model, an asset, or both")
+    span = None if model.span is None else np.asarray(orthonormal(jnp.asarray(model.span, jnp.float64)))
+    parts = [_chunk_figures(fitted, asset, part, span) for part in _chunks(ds)]
     figures = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Errors(
         rmse=root_mean_square(np.sqrt(figures["square"])),
@@ -87,9 +96,9 @@ def errors(model: Model, ds: LightingDataset, asset: RuntimeAsset | None = None)
         negative_share=mean(figures["negative"]),
         energy_bias=mean(figures["energy"]),
         noise_floor=ds.noise_floor,
-        projection=root_mean_square(figures["projection"]) if span is not None else None,
-        coefficient=root_mean_square(figures["coefficient"]) if span is not None else None,
-        storage=root_mean_square(figures["storage"]) if asset else None,
+        projection=root_mean_square(figures["projection"]) if "projection" in figures else None,
+        coefficient=root_mean_square(figures["coefficient"]) if "coefficient" in figures else None,
+        storage=root_mean_square(figures["storage"]) if "storage" in figures else None,
         black_lightings=int(np.sum(np.isnan(figures["relative"]))),
     )
 
@@ -100,15 +109,15 @@ def split_name(ds: LightingDataset) -> str:
 
 
 def _chunk_figures(
-    model: Model, asset: RuntimeAsset | None, ds: LightingDataset, span: Float[np.ndarray, "T B"] | None
+    fitted: Model | None, asset: RuntimeAsset | None, ds: LightingDataset, span: Float[np.ndarray, "T B"] | None
 ) -> dict[str, Float[np.ndarray, " N"]]:
     reference = np.asarray(ds.indirect, np.float64)
-    full = np.asarray(model.predict(ds), np.float64)
-    prediction = np.asarray(asset.predict(ds), np.float64) if asset else full
+    predictions = [np.asarray(source.predict(ds), np.float64) for source in (asset, fitted) if source is not None]
+    prediction = predictions[0]
     figures = dict(lightmap_figures(prediction, reference))
-    if asset:
-        figures["storage"] = relative_norm(prediction - full, reference)
-    if span is not None:  # with P the projector on the span: prediction − r = (prediction − P r) − (r − P r), orthogonal
+    if len(predictions) == 2:
+        figures["storage"] = relative_norm(prediction - predictions[1], reference)
+    if span is not None:  # prediction − r splits into parts within and across the span, which are orthogonal
         best = np.einsum("tb,nbc->ntc", span, np.einsum("tb,ntc->nbc", span, reference, optimize=True), optimize=True)
         figures["projection"] = relative_norm(reference - best, reference)
         figures["coefficient"] = relative_norm(prediction - best, reference)
@@ -129,5 +138,16 @@ def _sizes(asset: RuntimeAsset) -> dict[str, int]:
 
 
 def _about(ds: LightingDataset) -> dict[str, Any]:
-    keys = ("hash", "texels", "gather_texels", "rays", "bounces", "measurements", "lightings", "channels", "effects", "plan")
+    keys = (
+        "hash",
+        "texels",
+        "gather_texels",
+        "rays",
+        "bounces",
+        "measurements",
+        "lightings",
+        "channels",
+        "effects",
+        "plan",
+    )
     return {key: ds.metadata[key] for key in keys if key in ds.metadata}

@@ -86,7 +86,13 @@ def ssim(frame: Float[np.ndarray, "H W 3"], reference: Float[np.ndarray, "H W 3"
     frame, reference = np.asarray(frame, np.float64), np.asarray(reference, np.float64)
     return float(
         structural_similarity(
-            reference, frame, channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+            reference,
+            frame,
+            channel_axis=-1,
+            data_range=1.0,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
         )
     )
 

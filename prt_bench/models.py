@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Observed(Protocol):
-    """What a model may look at: any object with these arrays, a `LightingDataset` above all."""
+    """What a model may look at: any object with these arrays, a `LightingDataset` above all. They may be traced."""
 
     measured: Float[np.ndarray, "N M C"]
     indirect: Float[np.ndarray, "N T C"]
@@ -94,8 +94,8 @@ class LinearModel(Model):
             return jnp.einsum("bm,nmc->nbc", self.weights[0], augmented, precision="highest")
         if self.weights.shape[0] != x.shape[2]:
             raise FitError(
-                f"the model has a transfer matrix for each of {self.weights.shape[0]} channels, but the light has {x.shape[2]}; "
-                "fit it on a dataset with the same channels"
+                f"the model has a transfer matrix for each of {self.weights.shape[0]} channels, but the light has "
+                f"{x.shape[2]}; fit it on a dataset with the same channels"
             )
         return jnp.einsum("cbm,nmc->nbc", self.weights, augmented, precision="highest")
 

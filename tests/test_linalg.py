@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from prt_bench import linalg
-from prt_bench.linalg import cut_gap, leading_basis, orthonormal, relative_damping, ridge, rounding_floor, safe_norm, svd
+from prt_bench.linalg import (
+    cut_gap,
+    leading_basis,
+    orthonormal,
+    relative_damping,
+    ridge,
+    rounding_floor,
+    safe_norm,
+    svd,
+)
 
 EPS = np.finfo(float).eps
 
@@ -43,7 +52,7 @@ def assert_gradient(function, *arguments):
 
 @pytest.mark.parametrize("shape", [(7, 12), (12, 7), (9, 9)])
 def test_ridge_equals_primal_and_dual_form(shape):
-    """A0: the printed formula mixes the transposes of C Xᵀ (X Xᵀ + λ)⁻¹ and C (XᵀX + λ)⁻¹ Xᵀ, and only type-checks for M = N."""
+    """A0: the printed formula mixes the transposes of these two forms, and type-checks for M = N alone."""
     x = jnp.asarray(np.random.default_rng(0).normal(size=shape))
     c, damping = targets_for(shape[1]), 0.3
     primal = c @ x.T @ np.linalg.inv(x @ x.T + damping * np.eye(shape[0]))
@@ -85,7 +94,9 @@ def test_ridge_forward_error_stays_within_its_condition(condition, shape):
     damping = values[-1] ** 2
     expected = (w_true @ p) * (values**2 / (values**2 + damping)) @ p.T
     kappa = np.sqrt((1 + damping) / (values[-1] ** 2 + damping))
-    error = np.linalg.norm(ridge(jnp.asarray(x), jnp.asarray(c), jnp.asarray(damping)) - expected) / np.linalg.norm(expected)
+    error = np.linalg.norm(ridge(jnp.asarray(x), jnp.asarray(c), jnp.asarray(damping)) - expected) / np.linalg.norm(
+        expected
+    )
     assert error <= 30 * EPS * kappa
 
 

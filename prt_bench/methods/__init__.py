@@ -25,7 +25,9 @@ def _discover() -> dict[str, type[Method]]:
     named: dict[str, type[Method]] = {}
     for member in sorted(concrete, key=lambda member: (member.name, member.__module__)):
         if member.name in named:
-            raise SpecError(f"two methods are called '{member.name}': {named[member.name].__module__}, {member.__module__}")
+            raise SpecError(
+                f"two methods are called '{member.name}': {named[member.name].__module__}, {member.__module__}"
+            )
         named[member.name] = member
     return named
 

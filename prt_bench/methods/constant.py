@@ -24,4 +24,6 @@ class Constant(Method):
     def fit(self, ds: Observed, key: jax.Array | None = None) -> LinearModel:
         """Average the normalised training light over lightings and receivers."""
         mu_x, mu_y = normalised(*training_light(ds)).means()
-        return linear_model(jnp.zeros((mu_y.shape[0], 0)), jnp.zeros((1, 0, mu_x.shape[0])), (mu_x, jnp.full_like(mu_y, jnp.mean(mu_y))))
+        return linear_model(
+            jnp.zeros((mu_y.shape[0], 0)), jnp.zeros((1, 0, mu_x.shape[0])), (mu_x, jnp.full_like(mu_y, jnp.mean(mu_y)))
+        )

@@ -57,7 +57,9 @@ def training_light(ds: Observed) -> tuple[Array, Array]:
         if not np.all(np.isfinite(light)):
             raise FitError(f"the training split's {name} light has values that are not finite; bake it again")
         if name == "measured" and not np.any(light):
-            raise FitError("no training lighting lights any measurement point; give the fit lightings that reach the scene")
+            raise FitError(
+                "no training lighting lights any measurement point; give the fit lightings that reach the scene"
+            )
     return jnp.asarray(ds.measured), jnp.asarray(ds.indirect)
 
 

@@ -14,7 +14,7 @@ from prt_bench.models import LinearModel
 def regress(
     x: Float[Array, "M n"], coefficients: Float[Array, "B n"], ridge_factor: float | Float[Array, ""], channels: int = 1
 ) -> Float[Array, "W B M"]:
-    """Ridge regression from measured light to coefficients: one matrix, or one per channel (columns with the channel fastest)."""
+    """Ridge regression from measured light to coefficients: one matrix, or one for every channel (fastest in the columns)."""
     return jnp.stack(
         [
             ridge(x[:, c::channels], coefficients[:, c::channels], relative_damping(x[:, c::channels], ridge_factor))
@@ -51,6 +51,10 @@ def warn_of_rank(label: str, model: LinearModel) -> None:
     empty = int(np.sum(~np.any(np.asarray(model.basis), axis=0)))
     size = model.basis.shape[1]
     if empty:
-        warnings.warn(f"{label}: the training light has rank {size - empty}; {empty} basis functions are zero", stacklevel=3)
+        warnings.warn(
+            f"{label}: the training light has rank {size - empty}; {empty} basis functions are zero", stacklevel=3
+        )
     elif cut_gap(model.singular_values, size) < 1e-12:
-        warnings.warn(f"{label}: singular values {size} and {size + 1} are equal, so the basis is arbitrary", stacklevel=3)
+        warnings.warn(
+            f"{label}: singular values {size} and {size + 1} are equal, so the basis is arbitrary", stacklevel=3
+        )

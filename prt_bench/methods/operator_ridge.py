@@ -64,7 +64,7 @@ class OperatorRidge(Method):
 
 
 class Cells(NamedTuple):
-    """Measurement cells: `of_sample` [S] the cell of each gather sample, `measured` [M, M] what light on cell j adds to point m."""
+    """Measurement cells: `of_sample` [S] the cell of each gather sample, `measured` [M, M] what cell j adds to point m."""
 
     of_sample: Int[np.ndarray, " S"]
     measured: Float[np.ndarray, "M M"]
@@ -91,9 +91,7 @@ def cells(ds: LightingDataset) -> Cells:
     return Cells(of_sample, measured)
 
 
-def importance(
-    transport: Transport, albedo: Float[Array, "S C"], u: Float[Array, "T B"]
-) -> Float[Array, "C S B"]:
+def importance(transport: Transport, albedo: Float[Array, "S C"], u: Float[Array, "T B"]) -> Float[Array, "C S B"]:
     """𝒮ᵀ U: what direct light at each sample adds to each coefficient, through all bounces.
 
     The adjoint operator carries B columns where the forward one would carry one for each of M cells. Differentiable in u
@@ -105,7 +103,9 @@ def importance(
         rows = slice(start, start + _RECEIVERS)
         received += _transposed_gather(transport.receiver_gather(rows), u[rows])
     gather = transport.sample_gather(differentiable=True)
-    return jnp.stack([_transposed_bounces(gather, albedo[:, c : c + 1], received, transport.bounces) for c in range(albedo.shape[1])])
+    return jnp.stack(
+        [_transposed_bounces(gather, albedo[:, c : c + 1], received, transport.bounces) for c in range(albedo.shape[1])]
+    )
 
 
 @jax.jit
@@ -140,7 +140,9 @@ def regress_with_cells(
     """
     channels, measurements = adjoint.shape[0], examples.x.shape[0]
     coefficients = jnp.matmul(u.T, examples.y, precision="highest")
-    from_cells = jax.vmap(lambda a: jax.ops.segment_sum(a, light.of_sample, measurements).T)(adjoint.astype(jnp.float64))
+    from_cells = jax.vmap(lambda a: jax.ops.segment_sum(a, light.of_sample, measurements).T)(
+        adjoint.astype(jnp.float64)
+    )
     cell_scale = jnp.sqrt(prior / jnp.sum(light.measured**2))
 
     def matrix(c: int) -> Float[Array, "B M"]:
