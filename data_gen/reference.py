@@ -104,10 +104,7 @@ def _average(
     def moments(start: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(start[1], min(start[1] + PATHS_AT_ONCE, per_half)) % points
         values = sample(np.random.default_rng((seed, *start)), at)
-        return tuple(  # type: ignore[return-value]
-            np.stack([np.bincount(at, weights=channel, minlength=points) for channel in power.T], axis=1)
-            for power in (values, values**2)
-        )
+        return _sums_per_point(values, at, points), _sums_per_point(values**2, at, points)
 
     total, squares = np.zeros((2, points, 3)), np.zeros((points, 3))
     with ThreadPoolExecutor(workers or os.cpu_count()) as executor:
@@ -118,6 +115,10 @@ def _average(
     drawn = 2 * per_half // points
     variance = np.maximum(squares / drawn - halves.mean(axis=0) ** 2, 0.0)
     return Estimate(halves, np.sqrt(variance / (drawn - 1)))
+
+
+def _sums_per_point(values: np.ndarray, at: np.ndarray, points: int) -> Float[np.ndarray, "P 3"]:
+    return np.stack([np.bincount(at, weights=channel, minlength=points) for channel in values.T], axis=1)
 
 
 class _Paths:
