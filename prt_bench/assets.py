@@ -19,6 +19,7 @@ from safetensors.numpy import load, save
 from prt_bench.errors import AssetError
 from prt_bench.models import LinearModel, Model, NearestModel
 
+FORMAT = "prt-bench runtime asset"
 VERSION = 1
 _MODELS: tuple[type[Model], ...] = (LinearModel, NearestModel)
 _DTYPES = ("float32", "float16")
@@ -67,10 +68,11 @@ def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsse
         raise AssetError(
             f"{type(model).__name__} is an oracle: it needs the answer to predict it, so it has no runtime asset"
         )
-    stored = {
-        name: np.ascontiguousarray(array, dtype if name == "basis" else "float32")
-        for name, array in model.arrays().items()
-    }
+    with np.errstate(over="ignore"):  # an overflow is refused below, with its name
+        stored = {
+            name: np.ascontiguousarray(array, dtype if name == "basis" else "float32")
+            for name, array in model.arrays().items()
+        }
     for name, array in stored.items():
         if not np.all(np.isfinite(array)):
             raise AssetError(
@@ -78,23 +80,25 @@ def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsse
             )
     payload = save(stored)
     manifest = {
-        "format": "prt-bench runtime asset",
+        "format": FORMAT,
         "version": VERSION,
         "kernels": model.kernels,
         "dtype": dtype,
         "arrays": {name: {"shape": list(a.shape), "dtype": str(a.dtype)} for name, a in stored.items()},
         "sha256": hashlib.sha256(payload).hexdigest(),
     }
+    if path.exists() and not (path / "manifest.json").is_file():
+        raise AssetError(f"{path} exists and is not a runtime asset; choose another folder")
     partial = path.with_name(path.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    (partial / "weights.safetensors").write_bytes(payload)
-    (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
-    if path.exists():
-        if not (path / "manifest.json").is_file():
-            shutil.rmtree(partial)
-            raise AssetError(f"{path} exists and is not a runtime asset; choose another folder")
-        shutil.rmtree(path)
+    try:
+        partial.mkdir(parents=True)
+        (partial / "weights.safetensors").write_bytes(payload)
+        (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    except OSError:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    shutil.rmtree(path, ignore_errors=True)
     partial.rename(path)
     return load_asset(path)
 
@@ -105,14 +109,19 @@ def load_asset(path: str | Path) -> RuntimeAsset:
     try:
         manifest = json.loads((path / "manifest.json").read_text(encoding="utf-8"))
         payload = (path / "weights.safetensors").read_bytes()
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise AssetError(f"{path} is not a runtime asset: {Path(error.filename).name} is missing") from error
     except ValueError as error:
         raise AssetError(f"{path / 'manifest.json'} is not valid JSON; export the model again") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise AssetError(f"{path / 'manifest.json'} is not the manifest of a runtime asset")
     if manifest.get("version") != VERSION:
         raise AssetError(
             f"{path} is a runtime asset of version {manifest.get('version')}, but this prt-bench reads version {VERSION}"
         )
+    missing = [key for key in ("kernels", "dtype", "sha256") if key not in manifest]
+    if missing:
+        raise AssetError(f"the manifest {path / 'manifest.json'} lacks {', '.join(missing)}; export the model again")
     found = hashlib.sha256(payload).hexdigest()
     if found != manifest["sha256"]:
         raise AssetError(f"{path / 'weights.safetensors'} is truncated or altered: its SHA-256 is not the manifest's")

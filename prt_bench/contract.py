@@ -142,7 +142,7 @@ def permutation(method: Method, ds: LightingDataset) -> str:
 
 def one_channel(method: Method, ds: LightingDataset) -> str:
     """A model fitted on one channel predicts any number, each channel by itself."""
-    grey = ds.metadata | {"channels": 1}
+    grey = {**ds.metadata, "channels": 1}
     arrays = {name: values if values.ndim == 1 else values[..., :1] for name, values in ds.arrays.items()}
     single = replace(ds, arrays=arrays, metadata=grey)
     model = method.fit(single.split("train"))

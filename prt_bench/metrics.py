@@ -75,8 +75,8 @@ def flip(frame: Float[np.ndarray, "H W 3"], reference: Float[np.ndarray, "H W 3"
     """Mean LDR-FLIP (Andersson et al. 2020) of sRGB frames in [0, 1], at 67 pixels per degree; 0 is identical."""
     import flip_evaluator
 
-    pictures = [np.ascontiguousarray(picture, np.float32) for picture in (reference, frame)]
-    return float(flip_evaluator.evaluate(*pictures, "LDR", applyMagma=False)[1])
+    target, picture = (np.ascontiguousarray(image, np.float32) for image in (reference, frame))
+    return float(flip_evaluator.evaluate(target, picture, "LDR", applyMagma=False)[1])
 
 
 def ssim(frame: Float[np.ndarray, "H W 3"], reference: Float[np.ndarray, "H W 3"]) -> float:

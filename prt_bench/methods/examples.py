@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from prt_bench.errors import FitError
@@ -52,7 +53,7 @@ def normalised(measured: Float[Array, "N M C"], indirect: Float[Array, "N T C"])
 def training_light(ds: Observed) -> tuple[Array, Array]:
     """`measured` and `indirect` of a training split. Raises `FitError` for NaN, and where no lighting lights anything."""
     for name, light in (("measured", ds.measured), ("indirect", ds.indirect)):
-        if isinstance(light, jax.core.Tracer):
+        if isinstance(light, Tracer):
             continue
         if not np.all(np.isfinite(light)):
             raise FitError(f"the training split's {name} light has values that are not finite; bake it again")

@@ -2,9 +2,9 @@
 
 import warnings
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from prt_bench.linalg import cut_gap, relative_damping, ridge, safe_norm
@@ -46,7 +46,7 @@ def linear_model(
 
 def warn_of_rank(label: str, model: LinearModel) -> None:
     """Warn when the data hold fewer directions than were asked for, or when the cut goes through equal singular values."""
-    if model.singular_values is None or isinstance(model.basis, jax.core.Tracer):
+    if model.singular_values is None or isinstance(model.basis, Tracer):
         return
     empty = int(np.sum(~np.any(np.asarray(model.basis), axis=0)))
     size = model.basis.shape[1]

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from prt_bench.dataset import LightingDataset, Transport
 from prt_bench.linalg import leading_basis, relative_damping, ridge
@@ -82,7 +82,7 @@ def cells(ds: LightingDataset) -> Cells:
     def feature(of: SurfacePoints) -> Float[np.ndarray, "P 6"]:
         return np.hstack([of.position, 2.0 * spacing * of.normal])
 
-    tree = cKDTree(feature(points))
+    tree = KDTree(feature(points))
     _, of_sample = tree.query(feature(ds.transport.samples))
     _, of_dense = tree.query(feature(ds.dense_points))
     groups = np.asarray(ds.groups)
