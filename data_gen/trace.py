@@ -16,12 +16,12 @@ from prt_bench.dataset import Transport
 from prt_bench.errors import SpecError
 from prt_bench.progress import track
 from prt_bench.scene import Scene
-from prt_bench.store import FORMAT, write_lightmap, write_points, write_scene
+from prt_bench.store import FORMAT, write_array, write_lightmap, write_points, write_scene
 from prt_bench.transport import tail_bounds
 
 CHUNK = 1 << 14
 """Receivers that are traced, lit and stored together."""
-_VERSION = 1  # raise when the same inputs would give other hits
+_VERSION = 2  # raise when the same inputs would give other hits
 
 
 def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer) -> Transport:
@@ -44,7 +44,8 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
     shared = settings.gather_texels == settings.texels
     gather_map = lightmap if shared else unwrap(scene, settings.gather_texels)
     samples = receivers if shared else lightmap_points(scene, gather_map)
-    resolver = HitResolver.create(gather_map, samples, buried(tracer, samples, seed))
+    hidden = buried(tracer, receivers, seed)
+    resolver = HitResolver.create(gather_map, samples, hidden if shared else buried(tracer, samples, seed))
     sampler = HemisphereSampler.create(settings.rays, seed)
     index_type = np.uint16 if len(samples) < 2**16 - 1 else np.int32
 
@@ -63,9 +64,10 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)
         write_points(group, "receivers", receivers)
+        write_array(group, "buried", hidden)
         write_points(group, "samples", samples)
         sample_hits = "receiver_hits" if shared else "sample_hits"
-        traced = Transport(scene, lightmap, receivers, samples, group["receiver_hits"], group[sample_hits], 0, "")
+        traced = Transport(scene, lightmap, receivers, hidden, samples, group["receiver_hits"], group[sample_hits], 0, "")
         group.attrs.update(
             {
                 "kind": "transport",

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import zarr
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from prt_bench.environment import EnvironmentMap
 from prt_bench.errors import DatasetError
@@ -28,12 +28,14 @@ class Transport:
     """The traced operator of a scene: receivers, gather samples and the hit tables between them.
 
     `receiver_hits` [T, R] and `sample_hits` [S, R] index samples; S marks a ray that carries nothing. Both halves of the
-    rays are estimates of their own, and their difference is the noise floor.
+    rays are estimates of their own, and their difference is the noise floor. `buried` [T] marks receivers whose point lies
+    inside another body that stands on their texel; no light reaches them, and pictures fill them from their neighbours.
     """
 
     scene: Scene
     lightmap: Lightmap
     receivers: SurfacePoints
+    buried: Bool[np.ndarray, " T"]
     samples: SurfacePoints
     receiver_hits: Int[np.ndarray, "T R"] | zarr.Array
     sample_hits: Int[np.ndarray, "S R"] | zarr.Array
@@ -48,6 +50,7 @@ class Transport:
             read_scene(group),
             read_lightmap(group, "lightmap"),
             read_points(group, "receivers"),
+            np.asarray(group["buried"][...]),
             read_points(group, "samples"),
             group["receiver_hits"],
             group[str(group.attrs["sample_hits"])],

@@ -2,7 +2,7 @@
 
 import moderngl
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
 
 from prt_bench.errors import AssetError
@@ -12,12 +12,12 @@ from prt_bench.points import Lightmap
 class LightmapLayout:
     """Which receiver fills each texel: its own or the nearest, so that bilinear lookups never meet an empty texel."""
 
-    def __init__(self, context: moderngl.Context, lightmap: Lightmap) -> None:
+    def __init__(self, context: moderngl.Context, lightmap: Lightmap, buried: Bool[np.ndarray, " T"]) -> None:
         self._context = context
         self.resolution = lightmap.resolution
         self.receivers = len(lightmap.texel)
         self.texels = lightmap.texel
-        self._source = nearest_receiver(lightmap)
+        self._source = nearest_receiver(lightmap, buried)
 
     def upload(self, columns: Float[np.ndarray, "T B"]) -> moderngl.TextureArray:
         """Columns as layers of four, in their own precision (float32 or float16)."""
@@ -38,11 +38,12 @@ class LightmapLayout:
         return texture
 
 
-def nearest_receiver(lightmap: Lightmap) -> Int[np.ndarray, " texels"]:
-    """For each texel of the image, row by row, the receiver in it or the one in the nearest covered texel."""
+def nearest_receiver(lightmap: Lightmap, buried: Bool[np.ndarray, " T"]) -> Int[np.ndarray, " texels"]:
+    """For each texel of the image, row by row, the receiver in it or the nearest one that another body does not stand on."""
     side = lightmap.resolution
     owner = np.full(side * side, -1)
-    owner[lightmap.texel] = np.arange(len(lightmap.texel))
+    receivers = np.arange(len(lightmap.texel))
+    owner[lightmap.texel] = receivers if buried.all() else np.where(buried, -1, receivers)
     empty = owner.reshape(side, side) < 0
     rows, columns = np.asarray(distance_transform_edt(empty, return_distances=False, return_indices=True))
     return owner[rows * side + columns].ravel()

@@ -56,7 +56,7 @@ class Runtime:
             **({"SHADOWS": 1} if shadows else {}),
         }
         self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap)
-        self.layout = LightmapLayout(self.context, ds.lightmap)
+        self.layout = LightmapLayout(self.context, ds.lightmap, ds.transport.buried)
         self.screen = Screen(self.context, size)
         self.shadows = ShadowPass(self.context, self.mesh, shadow_resolution, self._lighting_defines)
         self.measurement = MeasurePass(self.context, ds.dense_points, ds.groups, self._lighting_defines)
