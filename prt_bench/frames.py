@@ -26,25 +26,23 @@ from prt_bench.runtime.timing import time_assets as time_in_runtime
 from prt_bench.spec import TimeSpec
 from prt_bench.timing import time_stages
 
-FRAMES = 2
-"""Held-out lightings per split that are rendered and compared."""
 PARITY = 8
 """Held-out lightings per split on which the runtime is compared with JAX and with ray-traced direct light."""
 
 
 @dataclass(frozen=True)
 class _Reference:
-    """Frames of one split lit by the reference lightmaps: final and indirect alone, and the exposure that suits each."""
+    """One split's frame lit by the reference lightmap, tone-mapped at an exposure that suits it, and the runtime's
+    measurement error on that split."""
 
-    lightings: tuple[Lighting, ...]
-    final: tuple[Float[np.ndarray, "H W 3"], ...]
-    indirect: Float[np.ndarray, "H W 3"]
-    exposure: tuple[float, ...]
+    lighting: Lighting
+    exposure: float
+    display: Float[np.ndarray, "H W 3"]
     measurement: float
 
 
 class FrameComparison:
-    """Renders rows of one dataset and compares them with frames lit by the reference.
+    """Renders rows of one dataset under the first lighting of each split and compares them with the reference's frame.
 
     Raises `RuntimeUnavailable` where there is no OpenGL. `folder` receives the pictures of the test split.
     """
@@ -59,45 +57,41 @@ class FrameComparison:
     def complete(self, record: Record, model: Model, loaded: LoadedAsset | None, held_out: LightingDataset) -> Record:
         """The record with runtime, measurement, FLIP and SSIM errors, runtime bytes and pictures."""
         reference = self._reference(held_out)
-        predictions = None if loaded else np.asarray(model.predict(_first(held_out, FRAMES)))
-        flips, ssims, pictures = [], [], {}
-        for index, lighting in enumerate(reference.lightings):
-            indirect: Indirect = loaded or self.runtime.lightmap(_rgb(predictions[index]))
-            frame = self.runtime.frame(lighting, indirect)
-            exposure = reference.exposure[index]
-            pair = [tone_map(image, exposure) / 255.0 for image in (frame, reference.final[index])]
-            flips.append(flip(*pair))
-            ssims.append(ssim(*pair))
-            if index == 0 and record.split == "test":
-                alone = self.runtime.frame(lighting, indirect, direct=False)
-                pictures = self._write(record.label, {"prediction": frame, "indirect": alone})
-                pictures |= {name: f"pictures/{self._name}/{name}.exr" for name in ("reference", "indirect_reference")}
-                pictures["measurement_points"] = self.measurement_picture
-        errors = replace(record.errors, flip=float(np.mean(flips)), ssim=float(np.mean(ssims)))
+        indirect: Indirect = loaded or self.runtime.lightmap(np.asarray(model.predict(_first(held_out, 1)))[0])
+        frame = self.runtime.frame(reference.lighting, indirect)
+        display = tone_map(frame, reference.exposure) / 255.0
+        pictures = {}
+        if record.split == "test":
+            alone = self.runtime.frame(reference.lighting, indirect, direct=False)
+            pictures = self._write(record.label, {"prediction": frame, "indirect": alone})
+            pictures |= {name: f"pictures/{self._name}/{name}.exr" for name in ("reference", "indirect_reference")}
+            pictures["measurement_points"] = self.measurement_picture
+        scores = {"flip": flip(display, reference.display), "ssim": ssim(display, reference.display)}
         sizes = record.bytes
         if loaded:
-            errors = replace(errors, runtime=_parity(loaded, held_out), measurement=reference.measurement)
+            scores |= {"runtime": _parity(loaded, held_out), "measurement": reference.measurement}
             sizes = {**sizes, "runtime": loaded.bytes}
-        return replace(record, errors=errors, bytes=sizes, pictures=pictures)
+        return replace(record, errors=replace(record.errors, **scores), bytes=sizes, pictures=pictures)
 
     def _reference(self, held_out: LightingDataset) -> _Reference:
         if held_out.rows not in self._references:
-            lit = _first(held_out, FRAMES)
-            maps = [self.runtime.lightmap(_rgb(values)) for values in lit.indirect]
-            final = tuple(self.runtime.frame(*pair) for pair in zip(lit.lightings, maps, strict=True))
-            alone = self.runtime.frame(lit.lightings[0], maps[0], direct=False)
-            exposure = tuple(exposure_for(image) for image in final)
-            measured = _first(held_out, PARITY)
-            errors = [
-                _relative(self.runtime.measure(lighting), _rgb(x))
-                for lighting, x in zip(measured.lightings, measured.measured, strict=True)
-            ]
-            found = _Reference(lit.lightings, final, alone, exposure, float(np.sqrt(np.mean(np.square(errors)))))
-            self._references[held_out.rows] = found
+            lighting, light = held_out.lightings[0], self.runtime.lightmap(held_out.indirect[0])
+            final = self.runtime.frame(lighting, light)
+            exposure = exposure_for(final)
+            display = tone_map(final, exposure) / 255.0
+            measurement = self._measurement_error(_first(held_out, PARITY))
+            self._references[held_out.rows] = _Reference(lighting, exposure, display, measurement)
             if held_out.rows == held_out.splits["test"]:
-                self._write("", {"reference": final[0], "indirect_reference": alone})
+                alone = self.runtime.frame(lighting, light, direct=False)
+                self._write("", {"reference": final, "indirect_reference": alone})
                 draw_measurement_points(held_out, self._folder / self.measurement_picture)
         return self._references[held_out.rows]
+
+    def _measurement_error(self, ds: LightingDataset) -> float:
+        """Root mean square over lightings of the relative error of the runtime's measured vector."""
+        pairs = zip(ds.lightings, ds.measured, strict=True)
+        errors = [_relative(self.runtime.measure(lighting), _rgb(x)) for lighting, x in pairs]
+        return float(np.sqrt(np.mean(np.square(errors))))
 
     def _write(self, label: str, images: Mapping[str, np.ndarray]) -> dict[str, str]:
         """Write pictures and return their paths relative to the run's folder."""

@@ -29,7 +29,7 @@ def write_png(path: Path, picture: UInt8[np.ndarray, "H W 3"]) -> None:
     """Write an 8-bit picture, top row first."""
     from PIL import Image
 
-    Image.fromarray(picture).save(path, optimize=True)
+    Image.fromarray(picture).save(path)
 
 
 def write_exr(path: Path, radiance: Float[np.ndarray, "H W 3"]) -> None:
