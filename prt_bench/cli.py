@@ -89,6 +89,15 @@ def _time(args: argparse.Namespace) -> None:
                 print(f"  {stage:<12} {figure.median:10.4f} ms  IQR {figure.iqr:.4f}  over {figure.rounds} rounds")
 
 
+def _view(args: argparse.Namespace) -> None:
+    from prt_bench.runtime.runtime import Runtime
+    from prt_bench.runtime.viewer import view
+
+    ds = prt.LightingDataset.open(args.dataset)
+    runtime = Runtime(ds)
+    view(runtime, ds.split("test").lightings, runtime.load(prt.load_asset(args.asset)), ds.scene.camera)
+
+
 def _report(args: argparse.Namespace) -> None:
     from prt_bench.report import write_leaderboard, write_report
 
@@ -195,6 +204,10 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("dataset", type=Path)
     made.add_argument("assets", type=Path, nargs="+", metavar="ASSET")
     made.add_argument("--rounds", type=int, default=7)
+
+    made = command("view", _view, "show an asset at work in a window, under the test lightings")
+    made.add_argument("dataset", type=Path)
+    made.add_argument("asset", type=Path)
 
     made = command("report", _report, "write leaderboard and report from a run's records")
     made.add_argument("folder", type=Path)
