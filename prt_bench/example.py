@@ -30,7 +30,17 @@ def example_dataset(
     scene = _room()
     points = _wall_points(scene, texels)
     hits = _trace(points, texels, rays, rng)
-    transport = Transport(scene, _atlas(texels), points, np.zeros(len(points), bool), points, hits, hits, bounces, f"example-{seed}-{texels}-{rays}")
+    transport = Transport(
+        scene,
+        _atlas(texels),
+        points,
+        np.zeros(len(points), bool),
+        points,
+        hits,
+        hits,
+        bounces,
+        f"example-{seed}-{texels}-{rays}",
+    )
 
     count = lightings + lightings // 2
     positions, colours = rng.uniform(-0.7, 0.7, (count, 3)), rng.uniform(0.2, 3.0, (count, 3))

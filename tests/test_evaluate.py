@@ -86,7 +86,7 @@ def test_a_record_names_what_was_run():
     record = prt.evaluate(method.fit(TRAIN), TEST, method=method, seconds={"fit": 1.5})
     assert (record.scene, record.scenario, record.split) == ("cube", "point", "test")
     assert (record.method, record.label) == ("svd-ridge", "svd-ridge b8 ridge=0.01")
-    assert record.settings == {"basis": 8, "ridge": 0.01, "mean": True, "transfer": "shared"}
+    assert record.settings == {"basis": 8, "ridge": 0.01, "mean": True, "transfer": "shared", "normalise": "indirect"}
     assert record.seconds == {"bake": 0.0, "fit": 1.5}
     assert record.bytes["asset"] == record.bytes["basis"] + record.bytes["transfer"] == 4 * (216 * 8 + 8 * 25)
     values = record.curves["singular_values"]

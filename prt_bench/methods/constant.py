@@ -22,7 +22,7 @@ class Constant(Method):
     role: ClassVar[str] = "floor"
 
     def fit(self, ds: Observed, key: jax.Array | None = None) -> LinearModel:
-        """Average the normalised training light over lightings and receivers."""
+        """Average over receivers what ‖x‖ tells of them."""
         mu_x, mu_y = normalised(*training_light(ds)).means()
         return linear_model(
             jnp.zeros((mu_y.shape[0], 0)), jnp.zeros((1, 0, mu_x.shape[0])), (mu_x, jnp.full_like(mu_y, jnp.mean(mu_y)))

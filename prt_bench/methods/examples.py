@@ -1,53 +1,68 @@
-"""Training examples as matrices: one column per (lighting, channel) pair, over the norm of its measured light.
+"""Training examples as matrices: one column per (lighting, channel) pair, each over a size of its own.
 
 Every linear method starts here, so that intensity, colour and black lightings are dealt with in one place.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from prt_bench.errors import FitError
 from prt_bench.linalg import rounding_floor, safe_norm
 from prt_bench.models import Observed
 
+Norm = Literal["indirect", "measured"]
+_VISIBLE = 0.1
+
 
 class Examples(NamedTuple):
     """Columns of normalised light in float64: measured x [M, n], indirect y [T, n], n = N·C with the channel fastest.
 
-    `lit` [n] marks the columns that count: where nothing was measured, both columns are zero. `floor` is the singular value
-    of y up to which everything is rounding.
+    `norm` [n] is ‖x‖ of each column as normalised. Where nothing was measured the whole column is zero, so that it counts
+    for nothing. `floor` is the singular value of y up to which everything is rounding.
     """
 
     x: Float[Array, "M n"]
     y: Float[Array, "T n"]
-    lit: Bool[Array, " n"]
+    norm: Float[Array, " n"]
     floor: Float[Array, ""]
 
     @jax.jit
     def means(self) -> tuple[Float[Array, "M 1"], Float[Array, "T 1"]]:
-        """Means of x and y over the lit columns."""
-        count = jnp.maximum(jnp.sum(self.lit), 1)
-        return jnp.sum(self.x, axis=1, keepdims=True) / count, jnp.sum(self.y, axis=1, keepdims=True) / count
+        """What ‖x‖ alone tells of x and y: the μ that fit μ ‖x‖ best. Plain means where all columns have norm 1."""
+        energy = jnp.sum(self.norm**2)
+        weight = self.norm / jnp.where(energy > 0, energy, 1.0)
+        return _product(self.x, weight), _product(self.y, weight)
 
     def less(self, x: Float[Array, "M 1"], y: Float[Array, "T 1"]) -> "Examples":
-        """The examples about a centre; unlit columns stay zero."""
-        return self._replace(x=(self.x - x) * self.lit, y=(self.y - y) * self.lit)
+        """The examples about a centre that scales with ‖x‖."""
+        return self._replace(x=self.x - x * self.norm, y=self.y - y * self.norm)
 
 
-@jax.jit
-def normalised(measured: Float[Array, "N M C"], indirect: Float[Array, "N T C"]) -> Examples:
-    """x / ‖x‖ and y / ‖x‖ column by column. Differentiable; a black lighting contributes nothing, to the gradient too."""
+@partial(jax.jit, static_argnames="by")
+def normalised(measured: Float[Array, "N M C"], indirect: Float[Array, "N T C"], by: Norm = "indirect") -> Examples:
+    """Both lights of each column over the same size, so that intensity does not weigh and relative errors are fitted.
+
+    By "measured", the size is ‖x‖ (Belcour et al. 2022). A lighting that all but misses the measurement points then has
+    hundreds of times the weight of others, and its neighbourhood ruins the fit: this is seen with spots. By "indirect", the
+    size is the root mean square of y; a tenth of that of x is added for lightings that hardly cause indirect light.
+    Differentiable; a black lighting contributes nothing, to the gradient too.
+    """
     x, y = _columns(measured), _columns(indirect)
     norm = safe_norm(x, axis=0)
     lit = norm > 0
-    scale = jnp.where(lit, 1.0 / jnp.where(lit, norm, 1.0), 0.0)
+    size = norm
+    if by == "indirect":
+        root_mean_squares = (safe_norm(y, axis=0) / len(y) ** 0.5, _VISIBLE * norm / len(x) ** 0.5)
+        size = safe_norm(jnp.concatenate(root_mean_squares), axis=0)
+    scale = jnp.where(lit, 1.0 / jnp.where(lit, size, 1.0), 0.0)
     y = y * scale
-    return Examples(x * scale, y, lit[0], jax.lax.stop_gradient(rounding_floor(y, indirect.dtype)))
+    return Examples(x * scale, y, (norm * scale)[0], jax.lax.stop_gradient(rounding_floor(y, indirect.dtype)))
 
 
 def training_light(ds: Observed) -> tuple[Array, Array]:
@@ -66,3 +81,7 @@ def training_light(ds: Observed) -> tuple[Array, Array]:
 
 def _columns(light: Float[Array, "N P C"]) -> Float[Array, "P n"]:
     return jnp.moveaxis(light.astype(jnp.float64), 1, 0).reshape(light.shape[1], -1)
+
+
+def _product(matrix: Float[Array, "P n"], vector: Float[Array, " n"]) -> Float[Array, "P 1"]:
+    return jnp.matmul(matrix, vector[:, None], precision="highest")

@@ -14,7 +14,7 @@ from prt_bench.models import LinearModel, Observed
 
 @dataclass(frozen=True)
 class Mean(Method):
-    """y = ‖x‖ μ with μ the mean of the normalised training light: `svd-ridge` with a basis of one."""
+    """y = ‖x‖ μ with the μ that fits the training light best: `svd-ridge` with a basis of one."""
 
     name: ClassVar[str] = "mean"
     summary: ClassVar[str] = "the mean lightmap, scaled by the norm of the measured light"
@@ -22,6 +22,6 @@ class Mean(Method):
     role: ClassVar[str] = "floor"
 
     def fit(self, ds: Observed, key: jax.Array | None = None) -> LinearModel:
-        """Average the normalised training light over lightings."""
+        """Fit one lightmap that scales with ‖x‖ to the training light."""
         mu_x, mu_y = normalised(*training_light(ds)).means()
         return linear_model(jnp.zeros((mu_y.shape[0], 0)), jnp.zeros((1, 0, mu_x.shape[0])), (mu_x, mu_y))

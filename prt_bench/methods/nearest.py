@@ -26,5 +26,5 @@ class Nearest(Method):
 
     def fit(self, ds: Observed, key: jax.Array | None = None) -> NearestModel:
         """Keep the normalised training light as it is."""
-        examples = normalised(*(jnp.sum(light, axis=2, keepdims=True) for light in training_light(ds)))
+        examples = normalised(*(jnp.sum(light, axis=2, keepdims=True) for light in training_light(ds)), by="measured")
         return NearestModel(examples.y, examples.x.T)

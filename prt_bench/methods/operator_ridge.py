@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from prt_bench.dataset import LightingDataset, Transport
-from prt_bench.linalg import leading_basis, relative_damping, ridge
+from prt_bench.linalg import leading_basis, relative_damping, ridge, safe_norm
 from prt_bench.methods.base import Method
 from prt_bench.methods.examples import Examples, normalised, training_light
 from prt_bench.methods.linear import linear_model, warn_of_rank
@@ -87,7 +87,7 @@ def cells(ds: LightingDataset) -> Cells:
     _, of_dense = tree.query(feature(ds.dense_points))
     groups = np.asarray(ds.groups)
     measured = np.zeros((len(points), len(points)))
-    np.add.at(measured, (np.arange(len(points))[:, None], of_dense[groups]), 1.0 / groups.shape[1])
+    np.add.at(measured, (np.arange(len(points))[:, None], np.asarray(of_dense)[groups]), 1.0 / groups.shape[1])
     return Cells(of_sample, measured)
 
 
@@ -143,13 +143,19 @@ def regress_with_cells(
     from_cells = jax.vmap(lambda a: jax.ops.segment_sum(a, light.of_sample, measurements).T)(
         adjoint.astype(jnp.float64)
     )
-    cell_scale = jnp.sqrt(prior / jnp.sum(light.measured**2))
+    cell_scale = _scale(prior, light.measured)
 
     def matrix(c: int) -> Float[Array, "B M"]:
         lightings = slice(c, None, channels)
-        scale = jnp.sqrt((1.0 - prior) / jnp.maximum(jnp.sum(examples.lit[lightings]), 1))
+        scale = _scale(1.0 - prior, examples.x[:, lightings])
         x = jnp.concatenate([scale * examples.x[:, lightings], cell_scale * light.measured], axis=1)
         targets = jnp.concatenate([scale * coefficients[:, lightings], cell_scale * from_cells[c]], axis=1)
         return ridge(x, targets, relative_damping(x, ridge_factor))
 
     return jnp.stack([matrix(c) for c in range(channels)])
+
+
+def _scale(share: float | Array, columns: Float[Array, "M n"]) -> Float[Array, ""]:
+    """The factor that gives the columns' outer products the trace `share`; 0 where all columns are black."""
+    size = safe_norm(columns.ravel(), axis=0)[0]
+    return jnp.where(size > 0, jnp.sqrt(share) / jnp.where(size > 0, size, 1.0), 0.0)

@@ -115,6 +115,17 @@ def test_black_lightings_change_nothing():
     np.testing.assert_array_equal(model.transfer(jnp.asarray(dark)), 0.0)
 
 
+def test_a_lighting_that_misses_the_measurement_points_does_not_rule_the_fit():
+    """Seen with spots: over ‖x‖ its indirect light has a thousand times the weight of any other lighting's."""
+    missed = SimpleNamespace(measured=TRAIN.measured.copy(), indirect=TRAIN.indirect.copy())
+    missed.measured[0] = 1e-3 * np.abs(TRAIN.measured[0]) * (np.arange(POINTS) == 3)[:, None]
+    sound, plain, paper = (
+        error(prt.method("svd-ridge", basis=12, mean=False, normalise=by).fit(light))
+        for by, light in (("indirect", missed), ("indirect", TRAIN), ("measured", missed))
+    )
+    assert sound < 2 * plain < 0.1 < paper
+
+
 def test_only_black_lightings_are_refused():
     dark = SimpleNamespace(measured=np.zeros((3, POINTS, 1)), indirect=np.zeros((3, RECEIVERS, 1)))
     with pytest.raises(FitError, match="no training lighting"):
