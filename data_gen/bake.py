@@ -211,8 +211,7 @@ def _create(group: zarr.Group, light: LightPass, training: int, receivers: int) 
 def _write_lightings(group: zarr.Group, lights: Sequence[Lighting]) -> None:
     maps = {part.map.hash: part.map for item in lights for part in item.lights if isinstance(part, EnvironmentLight)}
     for index, environment in enumerate(maps.values()):
-        write_array(group.require_group("environments"), str(index), environment.radiance)
-        group["environments"][str(index)].attrs["name"] = environment.name
+        write_array(group.require_group("environments"), str(index), environment.radiance, name=environment.name)
     group.attrs["lightings"] = json.dumps([[part.to_json() for part in item.lights] for item in lights])
 
 

@@ -1,6 +1,5 @@
 """Direct light with shadow rays: irradiance at points from many lightings."""
 
-
 import jax
 import numpy as np
 from jaxtyping import Array, Float

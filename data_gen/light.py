@@ -51,13 +51,16 @@ class LightPass:
         direct = jnp.asarray(self._direct(samples))
         bounces = self.transport.bounces - 1
         self._halves = [
-            radiosity(self.transport.sample_gather(half), albedo, direct, bounces).block_until_ready() for half in (0, 1)
+            radiosity(self.transport.sample_gather(half), albedo, direct, bounces).block_until_ready()
+            for half in (0, 1)
         ]
 
     def receive(self, rows: slice) -> Received:
         """Direct and indirect light at the receivers `rows`."""
         direct = self._direct(self.transport.receivers[rows])
-        first, second = (final_gather(self.transport.receiver_gather(rows, half), self._halves[half]) for half in (0, 1))
+        first, second = (
+            final_gather(self.transport.receiver_gather(rows, half), self._halves[half]) for half in (0, 1)
+        )
         mean, squares = _combine(first, second)
         return Received(direct, np.asarray(mean), np.asarray(first), np.asarray(squares))
 
@@ -74,4 +77,6 @@ class LightPass:
 def _combine(first: Array, second: Array) -> tuple[Array, Array]:
     """The mean of two estimates, and per lighting the sums of squares of half their difference and of the mean."""
     mean = 0.5 * (first + second)
-    return mean, jnp.stack([jnp.sum(jnp.square(part.astype(float)), axis=(1, 2)) for part in (0.5 * (first - second), mean)])
+    return mean, jnp.stack(
+        [jnp.sum(jnp.square(part.astype(float)), axis=(1, 2)) for part in (0.5 * (first - second), mean)]
+    )

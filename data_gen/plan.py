@@ -3,7 +3,6 @@
 import time
 from dataclasses import dataclass, replace
 from math import ceil, log
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -139,7 +138,9 @@ def plan(
         Decision(
             "gather samples",
             f"{gather}² texels",
-            "the receivers themselves" if gather == texels else "bounced light is smooth: a coarser lightmap carries it",
+            "the receivers themselves"
+            if gather == texels
+            else "bounced light is smooth: a coarser lightmap carries it",
         ),
         Decision("rays per point", str(rays), "as asked; the noise is measured from their two halves"),
     )
@@ -163,7 +164,7 @@ def _bounces(albedo: float, tolerance: float, convex: str | None) -> tuple[int, 
 
 
 def _convexity(scene: Scene) -> str | None:
-    """"outside" when every vertex lies behind every face, "inside" when in front of every face, None otherwise."""
+    """ "outside" when every vertex lies behind every face, "inside" when in front of every face, None otherwise."""
     slack = 1e-6 * scene.extent
     behind = in_front = True
     normals, corners = scene.mesh.normals, scene.mesh.triangles[:, 0]
@@ -207,7 +208,7 @@ def _rates(scene: Scene, workers: int | None) -> tuple[float, float]:
     """Rays per second on this scene and gathered values per second, each timed on a small batch."""
     rng = np.random.default_rng(0)
     tracer = Tracer(scene, workers)
-    origins = rng.uniform(*scene.bounds, (1 << 17, 3)).astype(np.float32)
+    origins = rng.uniform(scene.bounds[0], scene.bounds[1], (1 << 17, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
     tracer.intersect(origins[:1024], directions[:1024])
     started = time.perf_counter()

@@ -54,7 +54,9 @@ class HitResolver:
         samples[home[samples] != home[:-1]] = len(points)  # the whole chart is buried
         covered = np.full((side + 2, side + 2), -1, np.int32)
         covered[1:-1, 1:-1].flat[lightmap.texel] = samples
-        distance, (row, column) = distance_transform_edt(covered < 0, return_indices=True)
+        empty = covered < 0
+        row, column = np.asarray(distance_transform_edt(empty, return_distances=False, return_indices=True))
+        distance = np.asarray(distance_transform_edt(empty))
         sample = np.where(distance < PADDING, covered[row, column], len(points)).astype(np.int32)
         uv = lightmap.corner_uv * side
         columns = np.column_stack([uv[:, 0] + 1.0, uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0], lightmap.chart])
@@ -77,7 +79,9 @@ class HitResolver:
         """
         hits = (found["primID"], found["u"], found["v"], found["Ng"], directions, jitter)
         with jax.default_device(jax.devices("cpu")[0]):
-            return np.asarray(_resolve(*hits, self.face, self.sample, self.chart, width=self.width, nothing=self.samples))
+            return np.asarray(
+                _resolve(*hits, self.face, self.sample, self.chart, width=self.width, nothing=self.samples)
+            )
 
 
 @partial(jax.jit, static_argnames=("width", "nothing"))

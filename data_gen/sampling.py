@@ -8,7 +8,7 @@ import heapq
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from data_gen.atlas import surface_points
 from data_gen.tracer import Tracer
@@ -40,7 +40,7 @@ def sample_elimination(points: Float[np.ndarray, "P 3"], target: int, area: floa
     count = len(points)
     radius = poisson_radius(area, target)
     least = radius * (1.0 - (target / count) ** _GAMMA) * _BETA
-    pairs = cKDTree(points).query_pairs(2.0 * radius, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(2.0 * radius, output_type="ndarray")
     distance = np.maximum(np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1), 2.0 * least)
     weight = (1.0 - np.minimum(distance / (2.0 * radius), 1.0)) ** _ALPHA
 
@@ -117,7 +117,7 @@ def _blue_noise(scene: Scene, count: int, seed: np.random.SeedSequence, tracer: 
 
 def _groups(points: SurfacePoints, dense: SurfacePoints, size: int, tracer: Tracer) -> Int[np.ndarray, "M s"]:
     """Indices of the `size` nearest eligible dense points; where fewer are eligible, those repeat."""
-    _, near = cKDTree(dense.position).query(points.position, k=min(_NEIGHBOURS * size, len(dense)))
+    _, near = KDTree(dense.position).query(points.position, k=min(_NEIGHBOURS * size, len(dense)))
     facing = np.einsum("mkd,md->mk", dense.normal[near], points.normal) > _SAME_WAY
     # On a convex surface the straight line between two points lies below it: look from a little above instead.
     apart = dense.position[near] - points.position[:, None]

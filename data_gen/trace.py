@@ -67,7 +67,9 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
         write_array(group, "buried", hidden)
         write_points(group, "samples", samples)
         sample_hits = "receiver_hits" if shared else "sample_hits"
-        traced = Transport(scene, lightmap, receivers, hidden, samples, group["receiver_hits"], group[sample_hits], 0, "")
+        traced = Transport(
+            scene, lightmap, receivers, hidden, samples, group["receiver_hits"], group[sample_hits], 0, ""
+        )
         group.attrs.update(
             {
                 "kind": "transport",

@@ -61,7 +61,9 @@ def _frontier(axes: Axes, rows: list[Record]) -> None:
             continue
         frame, error = gl[0].stages["frame"].median, row.errors.relative_rmse
         filled = "transfer=" not in row.label
-        axes.scatter(frame, error, color=COLOURS[row.method] if filled else "none", edgecolors=COLOURS[row.method], s=36)
+        axes.scatter(
+            frame, error, color=COLOURS[row.method] if filled else "none", edgecolors=COLOURS[row.method], s=36
+        )
         axes.annotate(row.label, (frame, error), xytext=(6, 4), textcoords="offset points", fontsize=8)
     axes.axhline(rows[0].errors.noise_floor or 0.0, color="#777777", linestyle="--", linewidth=1)
     axes.set(yscale="log", xlabel="frame [ms]", title=f"{rows[0].scene}, {rows[0].scenario} lights")

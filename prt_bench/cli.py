@@ -48,7 +48,12 @@ def _plan(args: argparse.Namespace) -> None:
 
 def _bake(args: argparse.Namespace) -> None:
     ds = prt.bake(
-        prt.load_scene(args.scene), args.scenario, seed=args.seed, out=args.out, workers=args.workers, **_bake_settings(args)
+        prt.load_scene(args.scene),
+        args.scenario,
+        seed=args.seed,
+        out=args.out,
+        workers=args.workers,
+        **_bake_settings(args),
     )
     spent, predicted = ds.metadata["seconds"], ds.metadata["predicted"]
     print(f"{ds.path}\nhash {ds.hash}\nnoise floor {ds.split('test').noise_floor:.2%} (test)")
@@ -221,7 +226,9 @@ def _parser() -> argparse.ArgumentParser:
             made.add_argument("b", metavar="B")
         else:
             made.add_argument("--within", required=True, metavar="BUDGET", help="0.5ms, 2MB or 10s")
-        made.add_argument("--records", type=Path, default=Path("runs/quickstart"), help="a run's folder or records file")
+        made.add_argument(
+            "--records", type=Path, default=Path("runs/quickstart"), help="a run's folder or records file"
+        )
 
     command("scenes", _scenes, "built-in scenes")
     command("methods", _methods, "transfer methods that are installed")
@@ -235,7 +242,13 @@ def _parser() -> argparse.ArgumentParser:
 def _bake_options(made: argparse.ArgumentParser) -> None:
     made.add_argument("scene", help="a built-in scene, or a .glb .gltf .obj .ply .stl or .toml file")
     made.add_argument("--scenario", default="spot")
-    for name, default in (("lightings", 128), ("texels", 128), ("rays", 256), ("measurements", 256), ("supersampling", 8)):
+    for name, default in (
+        ("lightings", 128),
+        ("texels", 128),
+        ("rays", 256),
+        ("measurements", 256),
+        ("supersampling", 8),
+    ):
         made.add_argument(f"--{name}", type=int, default=default)
     made.add_argument("--tolerance", type=float, default=1e-4)
     made.add_argument("--gather-texels", type=int)

@@ -24,7 +24,9 @@ class EnvironmentMap:
 
     def __post_init__(self) -> None:
         if self.radiance.ndim != 3 or self.radiance.shape[-1] != 3 or self.radiance.size == 0:
-            raise LightError(f"environment '{self.name}' has shape {self.radiance.shape}, but must be [height, width, 3]")
+            raise LightError(
+                f"environment '{self.name}' has shape {self.radiance.shape}, but must be [height, width, 3]"
+            )
         bad = int(np.sum(~np.isfinite(self.radiance) | (self.radiance < 0)))
         if bad:
             raise LightError(f"environment '{self.name}' has {bad} negative or non-finite values; repair the map first")

@@ -101,9 +101,7 @@ class SpotLight(Light):
     def emitters(self) -> Emitters:
         """One point with a cone."""
         cone = (jnp.cos(self.cutoff), jnp.cos(self.cutoff * (1.0 - self.falloff)))
-        return _points(
-            self.position[None], _unit(self.direction)[None], self.intensity[None], cone, 0.0, self.radius
-        )
+        return _points(self.position[None], _unit(self.direction)[None], self.intensity[None], cone, 0.0, self.radius)
 
     def check(self) -> None:
         """Physical ranges: 0 < cutoff ≤ π, 0 < falloff ≤ 1, a direction that is not zero."""
@@ -249,9 +247,7 @@ def irradiance(
     return jnp.einsum("pq,qc->pc", weight, emitters.intensity, precision="highest")
 
 
-def strength(
-    emitters: Emitters, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]
-) -> Float[Array, "P Q"]:
+def strength(emitters: Emitters, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]) -> Float[Array, "P Q"]:
     """Unoccluded irradiance per unit of intensity, for each point and emitter.
 
     f(c) max(n·ω, 0) / (r² + r_s²) for points and max(n·ω, 0) for directions, with the angular profile

@@ -28,5 +28,3 @@ def track(work: Sequence[T], description: str) -> Iterator[T]:
 def say(message: str) -> None:
     """One line of what is going on."""
     console.print(message, highlight=False)
-
-

@@ -112,9 +112,7 @@ class Scene:
         """Upper bound of the albedo over all surfaces and channels."""
         return max(float(np.max(m.albedo)) * (1.0 if m.image is None else float(m.image.max())) for m in self.materials)
 
-    def albedo_at(
-        self, face: Int[np.ndarray, " P"], barycentric: Float[np.ndarray, "P 3"]
-    ) -> Float[np.ndarray, "P 3"]:
+    def albedo_at(self, face: Int[np.ndarray, " P"], barycentric: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
         """Linear RGB albedo at points given by face index and barycentric coordinates."""
         owner = self.mesh.material[face]
         albedo = np.array([m.albedo for m in self.materials], float)[owner]
@@ -134,7 +132,11 @@ class Scene:
     def hash(self) -> str:
         """SHA-256 over geometry and reflectance: everything the transport depends on."""
         digest = hashlib.sha256()
-        for array in (self.mesh.vertices.astype("<f8"), self.mesh.faces.astype("<i8"), self.mesh.material.astype("<i8")):
+        for array in (
+            self.mesh.vertices.astype("<f8"),
+            self.mesh.faces.astype("<i8"),
+            self.mesh.material.astype("<i8"),
+        ):
             digest.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         for material in self.materials:
             digest.update(repr((material.albedo, material.two_sided)).encode())

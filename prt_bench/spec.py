@@ -77,7 +77,7 @@ class RunSpec:
         nested = {name: build(kind, table.pop(name, {}), f"{path} [{name}]") for name, kind in _TABLES.items()}
         spec = build(cls, {**table, "methods": methods, **nested}, str(path), extra=("methods", *_TABLES))
         if not spec.scenes:
-            raise SpecError(f"{path} names no scenes; add scenes = [\"cornell\"]")
+            raise SpecError(f'{path} names no scenes; add scenes = ["cornell"]')
         return spec
 
 
@@ -136,6 +136,8 @@ def _expand(row: Mapping[str, Any], path: Path) -> list[MethodSpec]:
         chosen = dict(zip(names, combination, strict=True))
         storage = chosen.pop("storage", "float32")
         if storage not in STORAGE:
-            raise SpecError(f"{path}: method '{row['name']}' asks for storage '{storage}', but it must be {' or '.join(STORAGE)}")
+            raise SpecError(
+                f"{path}: method '{row['name']}' asks for storage '{storage}'{nearest(storage, list(STORAGE))}"
+            )
         specs.append(MethodSpec(row["name"], chosen, storage))
     return specs

@@ -26,7 +26,9 @@ def open_group(path: Path, kind: str) -> Any:  # a zarr.Group, whose members hav
     if group.attrs.get("kind") != kind:
         raise DatasetError(f"{path} holds {group.attrs.get('kind', 'something else')}, not a {kind}")
     if group.attrs.get("format") != FORMAT:
-        raise DatasetError(f"{path} has format {group.attrs.get('format')}, but this version reads {FORMAT}; bake it again")
+        raise DatasetError(
+            f"{path} has format {group.attrs.get('format')}, but this version reads {FORMAT}; bake it again"
+        )
     return group
 
 
@@ -77,7 +79,7 @@ def write_scene(group: zarr.Group, scene: Scene) -> None:
     )
 
 
-def read_scene(group: zarr.Group) -> Scene:
+def read_scene(group: Any) -> Scene:
     """The inverse of `write_scene`."""
     about: dict[str, Any] = json.loads(str(group["scene"].attrs["description"]))
     names = set(group["scene"].array_keys())
@@ -96,10 +98,11 @@ def read_scene(group: zarr.Group) -> Scene:
     return Scene(about["name"], mesh, materials, camera, tuple(about["notes"]))
 
 
-def write_array(group: zarr.Group, name: str, array: np.ndarray) -> None:
+def write_array(group: zarr.Group, key: str, array: np.ndarray, **attributes: str) -> None:
     """Store one array uncompressed as a single chunk, replacing what an interrupted run may have left."""
     array = np.ascontiguousarray(array)
-    group.create_array(name, data=array, chunks=array.shape, compressors=None, overwrite=True)
+    made = group.create_array(key, data=array, chunks=array.shape, compressors=None, overwrite=True)
+    made.attrs.update(attributes)
 
 
 def _array(group: zarr.Group, path: str) -> np.ndarray:

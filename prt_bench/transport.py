@@ -36,7 +36,9 @@ class GatherOperator(eqx.Module):
     def from_hits(cls, hits: Int[np.ndarray, "P R"], samples: int, differentiable: bool = False) -> "GatherOperator":
         """Wrap a hit table; `differentiable` sorts it once for fast gradients. Raises `FitError` for indices beyond S."""
         if hits.size and not 0 <= hits.min() <= hits.max() <= samples:
-            raise FitError(f"a hit table with entries from {hits.min()} to {hits.max()} does not index {samples} samples")
+            raise FitError(
+                f"a hit table with entries from {hits.min()} to {hits.max()} does not index {samples} samples"
+            )
         adjoint = None
         if differentiable:
             order = np.argsort(hits, axis=None, kind="stable")

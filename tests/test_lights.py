@@ -1,5 +1,7 @@
 """Lights against closed forms, finite differences and second derivations."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,7 +59,7 @@ def test_spot_light_is_full_inside_and_zero_outside_its_cone() -> None:
     assert under(0.29) == pytest.approx(1.0)
     assert under(0.51) == 0.0
     edge = [under(angle) for angle in np.linspace(0.3, 0.5, 9)]
-    assert all(a > b for a, b in zip(edge, edge[1:], strict=False))
+    assert all(a > b for a, b in itertools.pairwise(edge))
 
 
 def test_sphere_light_matches_the_solid_angle_formula_far_away() -> None:

@@ -47,7 +47,9 @@ def test_all_bounces_solve_the_rendering_equation() -> None:
 
 def test_bounces_count_from_the_first_gather() -> None:
     gather, albedo, direct = GatherOperator.from_hits(HITS, S), jnp.asarray(ALBEDO), jnp.asarray(DIRECT)
-    one = np.moveaxis(np.stack([dense(HITS) * ALBEDO[:, c] @ DIRECT[:, :, c].T for c in range(C)]), (0, 1, 2), (2, 1, 0))
+    one = np.moveaxis(
+        np.stack([dense(HITS) * ALBEDO[:, c] @ DIRECT[:, :, c].T for c in range(C)]), (0, 1, 2), (2, 1, 0)
+    )
     np.testing.assert_allclose(indirect(gather, albedo, direct, 1), one, rtol=1e-12)
     outgoing = radiosity(gather, albedo, direct, 0)
     np.testing.assert_allclose(final_gather(gather, outgoing), one, rtol=1e-12)

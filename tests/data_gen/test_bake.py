@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import prt_bench as prt
-from data_gen import bake as bake_module, trace as trace_module
+from data_gen import bake as bake_module
 from data_gen import journal
+from data_gen import trace as trace_module
 from data_gen.hemisphere import HemisphereSampler, tangent_frames
 from prt_bench.errors import DatasetError, LightError, SpecError
 

@@ -71,7 +71,7 @@ def test_both_sides_of_a_sheet_are_found_by_rays_from_either_side():
     tracer = Tracer(Scene("sheet", mesh, (material,), Camera((0, 0, 1), (0, 0, 0))))
     origins = np.random.default_rng(0).uniform(0.1, 0.9, (500, 3)) * (1, 1, 0)
     for side in (1.0, -1.0):
-        hits = tracer.intersect(origins + (0, 0, 2 * side), np.tile((0, 0, -side), (500, 1)))
+        hits = tracer.intersect(origins + np.array((0, 0, 2 * side)), np.tile((0, 0, -side), (500, 1)))
         assert np.all(hits.front)
         assert np.all((hits.face < 2) == (side > 0))
 

@@ -47,7 +47,9 @@ def test_convexity(scene: prt.Scene, convex: str | None) -> None:
         (TORUS, prt.PointLight([0.0, 3.0, 0.0], [1.0, 1.0, 1.0]), False),
     ],
 )
-def test_shadow_rays_are_skipped_only_where_they_change_nothing(scene: prt.Scene, light: prt.PointLight, skips: bool) -> None:
+def test_shadow_rays_are_skipped_only_where_they_change_nothing(
+    scene: prt.Scene, light: prt.PointLight, skips: bool
+) -> None:
     batch = emitters([prt.Lighting((light,))])
     assert prt.plan(scene).needs_shadow_rays(scene, batch) is not skips
     with_rays, without = (direct_irradiance(Tracer(scene), faces(scene), batch, rays) for rays in (True, False))

@@ -56,7 +56,9 @@ def quad_dataset(scene: Scene, cell: int = 24, measurements: int = 64, supersamp
     dense = points_on(scene, dense_face, rng.dirichlet((1, 1, 1), count))
     groups = np.arange(count).reshape(measurements, supersamples)
     nothing = np.zeros((len(receivers), 1), np.int32)
-    transport = Transport(scene, lightmap, receivers, np.zeros(len(receivers), bool), receivers, nothing, nothing, 1, "test")
+    transport = Transport(
+        scene, lightmap, receivers, np.zeros(len(receivers), bool), receivers, nothing, nothing, 1, "test"
+    )
     return LightingDataset(transport, dense[groups[:, 0]], dense, groups, (), {}, {}, {}, (0, 0))
 
 
