@@ -60,7 +60,7 @@ def _frontier(axes: Axes, rows: list[Record]) -> None:
         if not gl or row.method not in COLOURS or "float16" in row.label:
             continue
         frame, error = gl[0].stages["frame"].median, row.errors.relative_rmse
-        filled = "transfer=" not in row.label
+        filled = "per-channel" not in row.label
         axes.scatter(
             frame, error, color=COLOURS[row.method] if filled else "none", edgecolors=COLOURS[row.method], s=36
         )

@@ -13,7 +13,7 @@ from rich.console import Console
 import prt_bench as prt
 from prt_bench.errors import PrtBenchError, RuntimeUnavailable, SpecError
 
-_out = Console()
+_out = Console(width=None if sys.stdout.isatty() else 140)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

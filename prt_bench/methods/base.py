@@ -39,6 +39,8 @@ class Method(ABC):
             value = getattr(self, setting.name)
             if setting.name == "basis":
                 told.append(f"b{value}")
+            elif value != setting.default and isinstance(value, str):
+                told.append(value)
             elif value != setting.default:
                 told.append(f"{setting.name}={value:g}" if isinstance(value, float) else f"{setting.name}={value}")
         return " ".join(told)
