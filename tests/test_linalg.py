@@ -218,6 +218,12 @@ def test_projector_gradient_matches_differences(spectrum):
     assert_gradient(projector, [0.1, 0.05])
 
 
+def test_projector_gradient_on_exactly_equal_singular_values():
+    """B4: equal to the last bit, where the derivative of an SVD is 0/0."""
+    matrix = jnp.zeros((9, 5)).at[jnp.arange(5), jnp.arange(5)].set(jnp.asarray([2.0, 2.0, 2.0, 1.0, 1.0]))
+    assert_gradient(lambda m: (lambda u: u @ u.T)(leading_basis(m, 3, 1e-9)[0]), matrix)
+
+
 def test_projector_gradient_is_finite_where_rank_is_missing_or_the_cut_has_no_gap():
     for values in ([2.0, 1.0], [3.0, 1.0, 1.0, 1.0, 0.5], [0.0]):
         matrix, _ = matrix_of(values, 14, 6)

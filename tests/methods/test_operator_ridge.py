@@ -10,8 +10,8 @@ import prt_bench as prt
 from prt_bench.example import example_dataset
 from prt_bench.linalg import leading_basis
 from prt_bench.methods import operator_ridge
-from prt_bench.methods.examples import normalised
-from prt_bench.methods.operator_ridge import cells, importance
+from prt_bench.methods.examples import Examples, normalised
+from prt_bench.methods.operator_ridge import Cells, cells, importance, regress_with_cells
 
 DATASET = example_dataset()
 TRAIN, TEST = DATASET.split("train"), DATASET.split("test")
@@ -40,6 +40,21 @@ def test_without_the_prior_it_is_svd_ridge_without_its_mean():
     bare = prt.method("operator-ridge", prior=0.0, ridge=1e-3, basis=8).fit(TRAIN)
     same = prt.method("svd-ridge", mean=False, transfer="per-channel", ridge=1e-3, basis=8).fit(TRAIN)
     np.testing.assert_allclose(bare.predict(TEST), same.predict(TEST), rtol=1e-8)
+
+
+def test_the_matrix_is_the_estimate_under_the_mixed_covariance():
+    """u = Uᵀ 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)⁻¹ x, spelled out for one channel with both covariances of trace 1."""
+    rng = np.random.default_rng(0)
+    x, y, adjoint = rng.uniform(size=(6, 30)), rng.uniform(size=(11, 30)), rng.normal(size=(1, 20, 4))
+    u, measured, of_sample = np.linalg.qr(rng.normal(size=(11, 4)))[0], rng.uniform(size=(6, 6)), rng.integers(0, 6, 20)
+    examples = Examples(*(jnp.asarray(a) for a in (x, y, np.linalg.norm(x, axis=0), 0.0)))
+    found = regress_with_cells(examples, jnp.asarray(u), Cells(of_sample, measured), jnp.asarray(adjoint), 0.02, 0.3)
+
+    light, cell_trace = np.sum(x**2), np.sum(measured**2)
+    response = adjoint[0].T @ np.eye(6)[of_sample]
+    seen = 0.7 * x @ x.T / light + 0.3 * measured @ measured.T / cell_trace
+    caused = 0.7 * u.T @ y @ x.T / light + 0.3 * response @ measured.T / cell_trace
+    np.testing.assert_allclose(found[0], caused @ np.linalg.inv(seen + 0.02 / 6 * np.eye(6)), rtol=1e-10)
 
 
 def test_light_that_is_constant_on_cells_is_predicted_whatever_the_lightings():
