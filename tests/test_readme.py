@@ -44,6 +44,4 @@ def test_its_commands_exist(capsys: pytest.CaptureFixture[str]):
 def test_its_links_lead_somewhere():
     links = re.findall(r"\]\(([^)#]+)\)", README)
     assert links
-    assert not [
-        link for link in links if "://" not in link and not (ROOT / link).exists() and not link.endswith(".png")
-    ]
+    assert not [link for link in links if "://" not in link and not (ROOT / link).exists()]
