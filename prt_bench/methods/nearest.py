@@ -10,6 +10,9 @@ from prt_bench.methods.base import Method
 from prt_bench.methods.examples import normalised, training_light
 from prt_bench.models import NearestModel, Observed
 
+_SEEN = 0.1
+"""Share of the median ‖x‖, relative to the light caused, from which on a lighting counts as seen."""
+
 
 @dataclass(frozen=True)
 class Nearest(Method):
@@ -25,6 +28,12 @@ class Nearest(Method):
     role: ClassVar[str] = "floor"
 
     def fit(self, ds: Observed, key: jax.Array | None = None) -> NearestModel:
-        """Keep the normalised training light as it is."""
-        examples = normalised(*(jnp.sum(light, axis=2, keepdims=True) for light in training_light(ds)), by="measured")
-        return NearestModel(examples.y, examples.x.T)
+        """Keep the training light over ‖x‖, but for lightings that all but miss the measurement points.
+
+        Such a lighting has next to nothing to be recognised by, and its light over ‖x‖ is out of all proportion.
+        """
+        examples = normalised(*(jnp.sum(light, axis=2, keepdims=True) for light in training_light(ds)))
+        norm = examples.norm
+        seen = norm > _SEEN * jnp.nanmedian(jnp.where(norm > 0, norm, jnp.nan))
+        scale = jnp.where(seen, 1.0 / jnp.where(seen, norm, 1.0), 0.0)
+        return NearestModel(examples.y * scale, (examples.x * scale).T)
