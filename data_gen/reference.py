@@ -192,7 +192,7 @@ class _Arrival(NamedTuple):
 @singledispatch
 def sample_light(light: Light, point: Float[np.ndarray, "n 3"], rng: Generator) -> _Arrival:
     """Direction, distance and strength of one random sample of a light from each point."""
-    raise NotImplementedError(f"the reference path tracer knows no {type(light).__name__}")
+    raise TypeError(f"the reference path tracer knows no {type(light).__name__}")
 
 
 @sample_light.register

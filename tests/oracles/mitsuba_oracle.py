@@ -87,7 +87,7 @@ def _shape(scene: Scene, index: int) -> Any:
 
     material = scene.materials[index]
     if material.image is not None:
-        raise NotImplementedError("the mitsuba oracle knows uniform albedos only")
+        raise TypeError("the mitsuba oracle knows uniform albedos only")
     bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(material.albedo)}}
     if material.two_sided:
         bsdf = {"type": "twosided", "inner": bsdf}
@@ -105,7 +105,7 @@ def _shape(scene: Scene, index: int) -> Any:
 
 @singledispatch
 def _emitter(light: Light) -> dict[str, Any]:
-    raise NotImplementedError(f"the mitsuba oracle knows no {type(light).__name__}")
+    raise TypeError(f"the mitsuba oracle knows no {type(light).__name__}")
 
 
 @_emitter.register
