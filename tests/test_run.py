@@ -1,0 +1,150 @@
+"""The main job and the command line: what a run leaves, what it takes up again, and what it refuses."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from prt_bench import frames, records
+from prt_bench import run as run_module
+from prt_bench.cli import main
+from prt_bench.errors import FitError, RuntimeUnavailable, SpecError
+from prt_bench.methods.base import Method
+from prt_bench.spec import RunSpec
+
+SPEC = """
+name = "tiny"
+scenes = ["cornell"]
+[bake]
+ood = ["spot"]
+lightings = 4
+texels = 24
+rays = 16
+measurements = 16
+supersampling = 2
+[time]
+size = [64, 48]
+shadow_resolution = 256
+rounds = 1
+warmup = 0
+[[methods]]
+name = "svd-ridge"
+basis = [2, 3]
+[[methods]]
+name = "reference"
+"""
+LEFT = ("records.jsonl", "report.html", *(f"leaderboard.{kind}" for kind in ("md", "csv", "json", "tex")))
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.toml"
+    path.write_text(SPEC, encoding="utf-8")
+    return path
+
+
+def run_without_gl(spec: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> list[records.Record]:
+    def missing(*_: object, **__: object) -> None:
+        raise RuntimeUnavailable("no OpenGL here")
+
+    monkeypatch.setattr(frames, "Runtime", missing)
+    assert main(["run", str(spec), "--out", str(out)]) == 0
+    return records.read(out / "records.jsonl")
+
+
+def test_a_run_without_opengl_has_jax_timings_and_says_so(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    rows = run_without_gl(spec, out, monkeypatch)
+    assert {(row.split, row.label) for row in rows} == {
+        (split, label) for split in ("test", "ood-spot") for label in ("svd-ridge b2", "svd-ridge b3", "reference")
+    }
+    assert all((out / name).is_file() for name in LEFT)
+    assert "report.html" in capsys.readouterr().out
+    for row in rows:
+        if row.method == "reference":
+            assert row.status == "oracle"
+            assert row.errors.relative_rmse == pytest.approx(row.errors.noise_floor, rel=1e-5)
+        else:
+            assert row.status == "no-gl"
+            assert row.reason == "no OpenGL here"
+            assert [timing.api for timing in row.timings] == ["jax"]
+            assert row.errors.relative_rmse**2 == pytest.approx(
+                row.errors.projection**2 + row.errors.coefficient**2, rel=1e-4
+            )
+
+    before = (out / "records.jsonl").read_bytes()
+    assert main(["run", str(spec), "--out", str(out)]) == 0
+    assert (out / "records.jsonl").read_bytes() == before  # nothing is measured twice
+
+
+@dataclass(frozen=True)
+class Broken(Method):
+    name: ClassVar[str] = "broken"
+    summary: ClassVar[str] = "fails"
+    citation: ClassVar[str] = "none"
+
+    def fit(self, ds: object, key: object = None) -> None:
+        raise FitError("this data cannot be fitted")
+
+
+def test_a_failing_method_is_a_row_with_its_reason(spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = run_module.method
+    monkeypatch.setattr(run_module, "method", lambda name, **s: Broken() if s.get("basis") == 2 else found(name, **s))
+    rows = run_without_gl(spec, tmp_path / "out", monkeypatch)
+    failed = [row for row in rows if row.method == "broken"]
+    assert {row.status for row in failed} == {"failed"}
+    assert "this data cannot be fitted" in (failed[0].reason or "")
+    assert len(rows) == 6
+
+
+def test_a_folder_with_something_else_is_left_alone(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("years of work", encoding="utf-8")
+    assert main(["run", str(spec), "--out", str(tmp_path / "out")]) == 2
+    assert "is not a prt-bench run" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("lightings = 4", "lightngs = 4"), "[bake] has the unknown key 'lightngs'; did you mean 'lightings'?"),
+        (("lightings = 4", 'lightings = "many"'), "key 'lightings' is 'many', but must be int"),
+        (('scenes = ["cornell"]', ""), "lacks the key 'scenes'"),
+        (('scenes = ["cornell"]', "scenes = []"), "names no scenes"),
+        (("basis = [2, 3]", "bases = 3"), "has no setting 'bases'"),
+        (('name = "svd-ridge"', 'name = "svd-rigde"'), "svd-ridge"),
+        (('name = "svd-ridge"', 'storage = "float8"\nname = "svd-ridge"'), "storage 'float8'"),
+        (('scenes = ["cornell"]', 'scenes = ["cornel"]'), "did you mean 'cornell'"),
+        (("[bake]", "[bake"), "is not valid TOML"),
+    ],
+)
+def test_a_bad_specification_is_one_sentence_and_status_2(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], words: str
+) -> None:
+    spec.write_text(SPEC.replace(*change), encoding="utf-8")
+    assert main(["run", str(spec), "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert words in message
+    assert message.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_lists_of_settings_span_a_grid(spec: Path) -> None:
+    assert [(row.name, row.settings) for row in RunSpec.read(spec).methods] == [
+        ("svd-ridge", {"basis": 2}),
+        ("svd-ridge", {"basis": 3}),
+        ("reference", {}),
+    ]
+
+
+def test_another_specification_does_not_take_up_a_run(spec: Path, tmp_path: Path) -> None:
+    run_module._claim(tmp_path / "out", RunSpec.read(spec))
+    spec.write_text(SPEC.replace("rays = 16", "rays = 32"), encoding="utf-8")
+    with pytest.raises(SpecError, match="another specification"):
+        run_module._claim(tmp_path / "out", RunSpec.read(spec))
