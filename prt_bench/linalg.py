@@ -7,6 +7,7 @@ they stay finite and right for repeated singular values, duplicated points, dark
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -169,7 +170,7 @@ def _ridge(x: Array, targets: Array, damping: Array) -> Array:
 def _filter_factors(x: Array, damping: Array) -> tuple[Array, Array, Array, Array]:
     """Thin SVD of x with the factors of X⁺_λ and of (X Xᵀ + λ)⁻¹ on its left singular vectors."""
     p, s, qt = svd(x)
-    kept = s > max(x.shape) * jnp.finfo(x.dtype).eps * s[0]
+    kept = _above_rounding(s, x.shape)
     damped = s * s + damping
     filters = jnp.where(kept, s / jnp.where(kept, damped, 1.0), 0.0)
     inverse = jnp.where(kept | (damping > 0), 1.0 / jnp.where(damped > 0, damped, 1.0), 0.0)
@@ -191,6 +192,99 @@ def _ridge_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
         outside = pull - _matmul(_matmul(pull, p), p.T)
         dw = dw + jnp.where(damping > 0, outside / jnp.where(damping > 0, damping, 1.0), 0.0)
     return w, dw
+
+
+# --- leave-one-out -----------------------------------------------------------------------------------------------------
+
+
+@partial(jax.jit, static_argnames="group")
+def leave_one_out(
+    x: Float[Array, "M n"], targets: Float[Array, "B n"], damping: Float[Array, ""] | float, group: int = 1
+) -> Float[Array, "B n"]:
+    """targets − W₋ⱼ x in each column j, where W₋ⱼ is `ridge` on all other columns at the same λ > 0; nothing is refitted.
+
+    `group` consecutive columns leave together: the channels of one lighting would tell of each other. With the residual
+    map K = λ (XᵀX + λ)⁻¹ of the fit, the answer is (targets · K)ⱼ Kⱼⱼ⁻¹. K is kept in spectral form and scaled to 1 at its
+    largest: nothing cancels as λ → 0 while the columns are independent, and λ may be 0 then. Otherwise the error is
+    ~ eps / Kⱼⱼ. Differentiable in all arguments by the rule of the inverse. For many λ, `vmap` over `damping` shares the SVD.
+    After Allen 1974, "The Relationship between Variable Selection and Data Augmentation and a Method for Prediction".
+    """
+    return _leave_one_out(x, targets, jnp.asarray(damping, x.dtype), group)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def _leave_one_out(x: Array, targets: Array, damping: Array, group: int) -> Array:
+    residual = _ResidualMap.of(x, damping)
+    return _solve_blocks(residual.blocks(group), residual.product(targets))
+
+
+class _ResidualMap(NamedTuple):
+    """K = scale · (XᵀX + λ)⁻¹ = Q diag(f) Qᵀ, plus the identity outside of Q; and (X Xᵀ + λ)⁻¹ X."""
+
+    qt: Array
+    f: Array
+    scale: Array
+    filtered: Array
+
+    @classmethod
+    def of(cls, x: Array, damping: Array) -> "_ResidualMap":
+        p, s, qt = svd(x)
+        kept = _above_rounding(s, x.shape)
+        damped = jnp.where(kept, s * s + damping, 1.0)
+        scale = damping
+        if x.shape[0] >= x.shape[1]:  # independent columns: fits miss nothing but what λ holds back, and λ cancels
+            scale = jnp.where(jnp.all(kept), damped[-1], damping)
+        return cls(qt, jnp.where(kept, scale / damped, 1.0), scale, _matmul(p * jnp.where(kept, s / damped, 0.0), qt))
+
+    def product(self, rows: Array, power: int = 1) -> Array:
+        """rows · K^power."""
+        inside = _matmul(rows, self.qt.T)
+        product = _matmul(inside * self.f**power, self.qt)
+        return product if self._whole else product + (rows - _matmul(inside, self.qt))
+
+    def blocks(self, group: int, power: int = 1) -> Array:
+        """The diagonal blocks [n / group, group, group] of K^power."""
+        q = self.qt.reshape(len(self.qt), -1, group)
+        inside = _outer(q * (self.f**power)[:, None, None], q)
+        return inside if self._whole else inside + (jnp.eye(group) - _outer(q, q))
+
+    @property
+    def _whole(self) -> bool:
+        return self.qt.shape[0] == self.qt.shape[1]
+
+
+@_leave_one_out.defjvp
+def _leave_one_out_jvp(group: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    (x, targets, damping), (dx, d_targets, d_damping) = primals, tangents
+    residual = _ResidualMap.of(x, damping)
+    rows, blocks = residual.product(targets), residual.blocks(group)
+    left_out = _solve_blocks(blocks, rows)
+
+    # dK = −K dXᵀ F − Fᵀ dX K − dλ K² / scale with F = (X Xᵀ + λ)⁻¹ X, and E Kⱼⱼ = (C K)ⱼ gives dE Kⱼⱼ = d(C K)ⱼ − E dKⱼⱼ
+    moved, rate = residual.product(dx), d_damping / residual.scale
+    d_rows = residual.product(d_targets - _matmul(_matmul(targets, residual.filtered.T), dx))
+    d_rows = d_rows - _matmul(_matmul(rows, dx.T), residual.filtered) - rate * residual.product(targets, power=2)
+    pair = _outer(*(part.reshape(len(part), -1, group) for part in (moved, residual.filtered)))
+    d_blocks = -pair - jnp.swapaxes(pair, 1, 2) - rate * residual.blocks(group, power=2)
+    carried = jnp.einsum("bjg,jgh->bjh", left_out.reshape(len(left_out), -1, group), d_blocks, precision="highest")
+    return left_out, _solve_blocks(blocks, d_rows - carried.reshape(left_out.shape))
+
+
+def _solve_blocks(blocks: Array, rows: Array) -> Array:
+    """rows · blocks⁻¹ for symmetric diagonal blocks [n / group, group, group]."""
+    count, group, _ = blocks.shape
+    columns = jnp.moveaxis(rows.reshape(-1, count, group), 0, 2)
+    return jnp.moveaxis(jnp.linalg.solve(blocks, columns), 2, 0).reshape(rows.shape)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """Σₘ aₘⱼᵢ bₘⱼₗ as [j, i, l]."""
+    return jnp.einsum("mji,mjl->jil", a, b, precision="highest")
+
+
+def _above_rounding(s: Array, shape: tuple[int, ...]) -> Array:
+    """Which singular values of a matrix of that shape are more than its rounding."""
+    return s > max(shape) * jnp.finfo(s.dtype).eps * s[0]
 
 
 def _matmul(a: Array, b: Array) -> Array:

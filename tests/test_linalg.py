@@ -9,6 +9,7 @@ from prt_bench import linalg
 from prt_bench.linalg import (
     cut_gap,
     leading_basis,
+    leave_one_out,
     orthonormal,
     relative_damping,
     ridge,
@@ -156,6 +157,71 @@ def test_ridge_gradient_matches_differences(case):
     x = HARD_INPUTS[case]()
     c = targets_for(x.shape[1])
     assert_gradient(lambda x, c, factor: ridge(x, c, relative_damping(x, factor)), x, c, 0.05)
+
+
+# --- leave-one-out -----------------------------------------------------------------------------------------------------
+
+
+def refitted(x, c, damping, group=1):
+    """Brute force: fit without each group of columns, and look at what was left out."""
+    errors = np.empty(c.shape)
+    for at in range(0, x.shape[1], group):
+        out = np.arange(at, at + group)
+        p, s, qt = np.linalg.svd(np.delete(x, out, axis=1), full_matrices=False)
+        w = np.delete(c, out, axis=1) @ qt.T * (s / (s * s + damping)) @ p.T
+        errors[:, out] = c[:, out] - w @ x[:, out]
+    return errors
+
+
+@pytest.mark.parametrize("shape", [(7, 12), (12, 6), (9, 9)])
+@pytest.mark.parametrize("group", [1, 3])
+@pytest.mark.parametrize("damping", [10.0, 1e-2, 1e-6])
+def test_leave_one_out_equals_refitting(shape, group, damping):
+    """A12: each column, or each group of columns, predicted by the others."""
+    x, c = np.random.default_rng(0).normal(size=shape), np.asarray(targets_for(shape[1]))
+    expected = refitted(x, c, damping, group)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(leave_one_out(x, c, damping, group), expected, atol=1e-11 * size)
+
+
+def test_leave_one_out_does_not_cancel_at_a_small_ridge():
+    """A12: at λ = 1e-10 the textbook r / (1 − h) is a quotient of roundings; in spectral form λ cancels beforehand."""
+    rng = np.random.default_rng(1)
+    x, c = rng.normal(size=(40, 25)), rng.normal(size=(2, 25))
+    expected, damping = refitted(x, c, 1e-10), 1e-10
+    weights = np.linalg.solve(x @ x.T + damping * np.eye(40), x)
+    textbook = (c - c @ x.T @ weights) / (1.0 - np.sum(x * weights, axis=0))
+    error, naive = (
+        np.abs(found - expected).max() / np.abs(expected).max()
+        for found in (np.asarray(leave_one_out(x, c, damping)), textbook)
+    )
+    assert error < 1e-11 < 1e-4 < naive
+
+
+def test_leave_one_out_sees_through_white_light_only_by_whole_lightings():
+    """Three equal channels: left out one by one, each is predicted by its twins, whatever the targets."""
+    rng = np.random.default_rng(0)
+    x, c = (np.repeat(rng.normal(size=(rows, 8)), 3, axis=1) for rows in (40, 3))
+    assert np.abs(leave_one_out(x, c, 1e-6)).max() < 1e-6
+    np.testing.assert_allclose(leave_one_out(x, c, 1e-6, group=3), refitted(x, c, 1e-6, 3), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("case", "group"),
+    [("generic wide", 1), ("symmetric", 2), ("duplicate lighting", 1), ("dark point", 1), ("rank 2", 3)],
+)
+def test_leave_one_out_gradient_matches_differences(case, group):
+    x = HARD_INPUTS[case]()
+    x = x[:, : x.shape[1] // group * group]
+    assert_gradient(lambda x, c, d: leave_one_out(x, c, d, group), x, targets_for(x.shape[1]), 0.05)
+
+
+def test_leave_one_out_for_many_ridges_at_once():
+    x, c = jnp.asarray(np.random.default_rng(0).normal(size=(6, 9))), targets_for(9)
+    grid = jnp.geomspace(1e-6, 1.0, 5)
+    together = jax.vmap(lambda damping: leave_one_out(x, c, damping))(grid)
+    for damping, found in zip(grid, together, strict=True):
+        np.testing.assert_allclose(found, leave_one_out(x, c, damping), rtol=1e-12)
 
 
 # --- leading basis -----------------------------------------------------------------------------------------------------
