@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from data_gen.tracer import Tracer
-from prt_bench.lights import Emitters, strength
+from prt_bench.emitters import Emitters, strength
 from prt_bench.points import SurfacePoints
 
 

@@ -11,7 +11,7 @@ from data_gen.direct import direct_irradiance
 from data_gen.plan import Plan
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
-from prt_bench.lights import Emitters
+from prt_bench.emitters import Emitters
 from prt_bench.points import SurfacePoints
 from prt_bench.transport import final_gather, radiosity
 

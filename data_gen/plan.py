@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.tracer import Tracer
+from prt_bench.emitters import Emitters
 from prt_bench.errors import SpecError
-from prt_bench.lights import AREA_SAMPLES, ENVIRONMENT_SAMPLES, Emitters
+from prt_bench.lights import AREA_SAMPLES, ENVIRONMENT_SAMPLES
 from prt_bench.scene import Scene
 from prt_bench.transport import GatherOperator
 

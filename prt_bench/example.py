@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prt_bench.dataset import LightingDataset, Transport
-from prt_bench.lights import Lighting, PointLight, emitters, irradiance
+from prt_bench.emitters import irradiance
+from prt_bench.lights import Lighting, PointLight, emitters
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Camera, Material, Mesh, Scene
 from prt_bench.transport import final_gather, radiosity

@@ -1,15 +1,12 @@
-"""Lights, and the unoccluded irradiance they cause.
+"""Lights and lightings: what can be put into a scene, and the punctual emitters that each light stands for.
 
-Every light reduces to a sum of *punctual emitters*: points or directions with an RGB intensity and one angular profile
-(`Emitters`). The bake's shadow rays, the differentiable irradiance below and the GLSL runtime all evaluate these same
-emitters, so the three agree by construction. Visibility is found elsewhere (`data_gen.tracer`, `shaders/shadow.glsl`).
-
-Units: position in m, intensity in W/sr, radiance in W/m²/sr, irradiance in W/m².
+Every light reduces to a sum of *punctual emitters*, points or directions with an RGB intensity and one angular profile;
+they and the irradiance they cause live in `emitters.py`.
 
 | light | parameter | unit | differentiable |
 |---|---|---|---|
-| PointLight | position, intensity | m, W/sr | yes |
-| SpotLight | position, direction, intensity, cutoff, falloff | m, -, W/sr, rad, - | yes |
+| PointLight | position, intensity, radius | m, W/sr, m | yes |
+| SpotLight | position, direction, intensity, cutoff, falloff, radius | m, -, W/sr, rad, -, m | yes |
 | DirectionalLight | direction, irradiance (at normal incidence) | -, W/m² | yes |
 | SphereLight | center, radius, radiance | m, m, W/m²/sr | yes |
 | RectLight | center, u, v, radiance | m, m, m, W/m²/sr | yes |
@@ -26,8 +23,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from prt_bench.emitters import (
+    EVERYWHERE,
+    UP,
+    Emitters,
+    batched,
+    darkness,
+    directional_emitters,
+    joined,
+    point_emitters,
+)
+from prt_bench.emitters import irradiance as irradiance  # lights.irradiance(lights.emitters(...)), for users
 from prt_bench.environment import EnvironmentMap, median_cut
 from prt_bench.errors import LightError
 
@@ -35,21 +43,6 @@ AREA_SAMPLES = 16
 """Punctual emitters that stand for one area light."""
 ENVIRONMENT_SAMPLES = 64
 """Directional emitters that stand for one environment map."""
-_ALL = (-3.0, -2.0)  # cosine bounds that every direction passes
-
-
-class Emitters(eqx.Module):
-    """Q punctual emitters (leading axes may batch lightings; padding has zero intensity).
-
-    position [..., Q, 4]: homogeneous; w = 1 is a point, w = 0 a unit direction *towards* the light.
-    axis [..., Q, 3]: unit axis of emission. intensity [..., Q, 3]: W/sr along the axis for points, W/m² for directions.
-    profile [..., Q, 4]: (cos of the outer cone, cos of the inner cone, weight of the Lambert cosine, squared source radius).
-    """
-
-    position: Float[Array, "*N Q 4"]
-    axis: Float[Array, "*N Q 3"]
-    intensity: Float[Array, "*N Q 3"]
-    profile: Float[Array, "*N Q 4"]
 
 
 class Light(eqx.Module):
@@ -78,7 +71,7 @@ class PointLight(Light):
 
     def emitters(self) -> Emitters:
         """One point."""
-        return _points(self.position[None], _UP, self.intensity[None], _ALL, 0.0, self.radius)
+        return point_emitters(self.position[None], UP, self.intensity[None], EVERYWHERE, 0.0, self.radius)
 
     def check(self) -> None:
         """Finite position, non-negative intensity and radius."""
@@ -101,7 +94,9 @@ class SpotLight(Light):
     def emitters(self) -> Emitters:
         """One point with a cone."""
         cone = (jnp.cos(self.cutoff), jnp.cos(self.cutoff * (1.0 - self.falloff)))
-        return _points(self.position[None], _unit(self.direction)[None], self.intensity[None], cone, 0.0, self.radius)
+        return point_emitters(
+            self.position[None], _unit(self.direction)[None], self.intensity[None], cone, 0.0, self.radius
+        )
 
     def check(self) -> None:
         """Physical ranges: 0 < cutoff ≤ π, 0 < falloff ≤ 1, a direction that is not zero."""
@@ -120,7 +115,7 @@ class DirectionalLight(Light):
 
     def emitters(self) -> Emitters:
         """One direction."""
-        return _directions(-_unit(self.direction)[None], self.irradiance[None])
+        return directional_emitters(-_unit(self.direction)[None], self.irradiance[None])
 
     def check(self) -> None:
         """A direction that is not zero, non-negative irradiance."""
@@ -139,7 +134,7 @@ class SphereLight(Light):
         axis = jnp.asarray(_fibonacci_sphere(AREA_SAMPLES))
         share = 4.0 * jnp.pi * self.radius**2 / AREA_SAMPLES
         intensity = jnp.broadcast_to(self.radiance * share, (AREA_SAMPLES, 3))
-        return _points(self.center + self.radius * axis, axis, intensity, _ALL, 1.0, self.radius * 0.5)
+        return point_emitters(self.center + self.radius * axis, axis, intensity, EVERYWHERE, 1.0, self.radius * 0.5)
 
     def check(self) -> None:
         """Positive radius, non-negative radiance."""
@@ -163,7 +158,9 @@ class RectLight(Light):
         area = 4.0 * jnp.linalg.norm(normal)
         axis = jnp.broadcast_to(_unit(normal), (side * side, 3))
         intensity = jnp.broadcast_to(self.radiance * area / side**2, (side * side, 3))
-        return _points(self.center + s * self.u + t * self.v, axis, intensity, _ALL, 1.0, jnp.sqrt(area) / (2 * side))
+        return point_emitters(
+            self.center + s * self.u + t * self.v, axis, intensity, EVERYWHERE, 1.0, jnp.sqrt(area) / (2 * side)
+        )
 
     def check(self) -> None:
         """Edges that span an area, non-negative radiance."""
@@ -185,8 +182,8 @@ class EnvironmentLight(Light):
 
     def emitters(self) -> Emitters:
         """The map's directions, rotated."""
-        direction, irradiance = median_cut(self.map, ENVIRONMENT_SAMPLES)
-        return _directions(direction @ rotation_matrix(self.rotation).T, jnp.asarray(irradiance))
+        direction, energy = median_cut(self.map, ENVIRONMENT_SAMPLES)
+        return directional_emitters(direction @ rotation_matrix(self.rotation).T, jnp.asarray(energy))
 
     def check(self) -> None:
         """A finite rotation; the map checks itself when it is made."""
@@ -221,50 +218,7 @@ def light_from_json(data: dict[str, Any], maps: dict[str, EnvironmentMap]) -> Li
 
 def emitters(lightings: Sequence[Lighting]) -> Emitters:
     """Batch the emitters of N lightings into [N, Q, …], padded with emitters of zero intensity."""
-    per_lighting = []
-    for lighting in lightings:
-        parts = [light.emitters() for light in lighting.lights] or [_directions(jnp.asarray([_Y]), jnp.zeros((1, 3)))]
-        per_lighting.append(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
-    most = max(part.position.shape[0] for part in per_lighting)
-    padded = [_pad(part, most) for part in per_lighting]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
-
-
-def irradiance(
-    emitters: Emitters,
-    position: Float[Array, "P 3"],
-    normal: Float[Array, "P 3"],
-    visibility: Bool[Array, "P Q"] | Float[Array, "P Q"] | None = None,
-) -> Float[Array, "P 3"]:
-    """Irradiance [P, 3] in W/m² from Q emitters at P points.
-
-    `strength` times intensity, summed over visible emitters. Differentiable in emitters, positions and normals; finite at
-    contact because of the source radius r_s.
-    """
-    weight = strength(emitters, position, normal)
-    if visibility is not None:
-        weight = weight * visibility
-    return jnp.einsum("pq,qc->pc", weight, emitters.intensity, precision="highest")
-
-
-def strength(emitters: Emitters, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]) -> Float[Array, "P Q"]:
-    """Unoccluded irradiance per unit of intensity, for each point and emitter.
-
-    f(c) max(n·ω, 0) / (r² + r_s²) for points and max(n·ω, 0) for directions, with the angular profile
-    f(c) = smoothstep(outer, inner, c) · (1 or Lambert's max(c, 0)) of the cosine c to the emission axis.
-    """
-    w = emitters.position[:, 3]
-    offset = emitters.position[None, :, :3] - position[:, None, :] * w[None, :, None]
-    distance_squared = jnp.sum(offset**2, axis=-1)
-    safe = jnp.maximum(distance_squared, jnp.finfo(distance_squared.dtype).tiny * 1e6)
-    direction = offset / jnp.sqrt(safe)[..., None]
-    incidence = jnp.maximum(jnp.einsum("pqd,pd->pq", direction, normal), 0.0)
-
-    outer, inner, lambert, radius_squared = jnp.moveaxis(emitters.profile, -1, 0)
-    cosine = -jnp.einsum("pqd,qd->pq", direction, emitters.axis)
-    t = jnp.clip((cosine - outer) / jnp.maximum(inner - outer, 1e-6), 0.0, 1.0)
-    profile = t * t * (3.0 - 2.0 * t) * (1.0 + lambert * (jnp.maximum(cosine, 0.0) - 1.0))
-    return incidence * profile / jnp.where(w > 0, distance_squared + radius_squared, 1.0)
+    return batched([joined([light.emitters() for light in lighting.lights] or [darkness(1)]) for lighting in lightings])
 
 
 def rotation_matrix(axis_angle: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -274,42 +228,8 @@ def rotation_matrix(axis_angle: Float[Array, "3"]) -> Float[Array, "3 3"]:
     return jax.scipy.linalg.expm(jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]))
 
 
-_Y = (0.0, 1.0, 0.0)
-_UP = np.array([_Y])
-
-
 def _unit(vector: Array) -> Array:
     return vector / jnp.linalg.norm(vector)
-
-
-def _points(position: Any, axis: Any, intensity: Any, cone: tuple[Any, Any], lambert: float, radius: Any) -> Emitters:
-    count = position.shape[0]
-    row = jnp.stack([jnp.asarray(value, float) for value in (*cone, lambert, radius**2)])
-    return Emitters(
-        jnp.concatenate([position, jnp.ones((count, 1))], axis=1),
-        jnp.broadcast_to(jnp.asarray(axis, float), (count, 3)),
-        jnp.asarray(intensity, float),
-        jnp.broadcast_to(row, (count, 4)),
-    )
-
-
-def _directions(towards_light: Any, irradiance: Any) -> Emitters:
-    direction = jnp.asarray(towards_light, float)
-    count = direction.shape[0]
-    return Emitters(
-        jnp.concatenate([direction, jnp.zeros((count, 1))], axis=1),
-        -direction,
-        jnp.asarray(irradiance, float),
-        jnp.broadcast_to(jnp.asarray([*_ALL, 0.0, 0.0]), (count, 4)),
-    )
-
-
-def _pad(part: Emitters, count: int) -> Emitters:
-    missing = count - part.position.shape[0]
-    if missing == 0:
-        return part
-    dark = _directions(jnp.broadcast_to(jnp.asarray(_Y), (missing, 3)), jnp.zeros((missing, 3)))
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), part, dark)
 
 
 def _fibonacci_sphere(count: int) -> Float[np.ndarray, "Q 3"]:
@@ -334,7 +254,7 @@ def _check(
             raise LightError(f"{kind}.{name} is {np.asarray(getattr(light, name))}, but must be finite")
     for name in non_negative:
         if np.any(np.asarray(getattr(light, name)) < 0):
-            raise LightError(f"{kind}.{name} is {np.asarray(getattr(light, name))}, but light cannot be negative")
+            raise LightError(f"{kind}.{name} is {np.asarray(getattr(light, name))}, but must not be negative")
     for name in positive:
         if not np.all(np.asarray(getattr(light, name)) > 0):
             raise LightError(f"{kind}.{name} is {np.asarray(getattr(light, name))}, but must be above zero")

@@ -11,8 +11,9 @@ import numpy as np
 
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
+from prt_bench.emitters import Emitters, irradiance
 from prt_bench.errors import SpecError
-from prt_bench.lights import Emitters, emitters, irradiance
+from prt_bench.lights import emitters
 from prt_bench.records import Stage, Timing
 
 Key = TypeVar("Key", bound=Hashable)

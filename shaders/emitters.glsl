@@ -1,4 +1,4 @@
-// Punctual emitters and the irradiance they cause: the same formulas as prt_bench/lights.py.
+// Punctual emitters and the irradiance they cause: the same formulas as prt_bench/emitters.py.
 // Measurement and final frame both come here; SHADOWS compiles the shadow lookup in.
 
 struct Emitter {

@@ -15,7 +15,18 @@ PACKAGES = ("prt_bench", "data_gen")
 CODE = (*PACKAGES, "experiments", "tests", "notebooks")
 TOP = ("prt_bench", "prt_bench.cli", "prt_bench.doctor", "prt_bench.frames", "prt_bench.run")
 """The layer that ties the others together; nothing below imports it, but for the package `prt_bench` itself."""
-READ_BY_BAKE = ("scene", "lights", "environment", "points", "transport", "dataset", "store", "progress", "errors")
+READ_BY_BAKE = (
+    "scene",
+    "lights",
+    "emitters",
+    "environment",
+    "points",
+    "transport",
+    "dataset",
+    "store",
+    "progress",
+    "errors",
+)
 READ_BY_REPORT = ("records", "errors")
 MOST_LINES = 400
 

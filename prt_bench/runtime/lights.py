@@ -6,7 +6,8 @@ import jax
 import moderngl
 import numpy as np
 
-from prt_bench.lights import Emitters, EnvironmentLight, Lighting, emitters, rotation_matrix
+from prt_bench.emitters import Emitters
+from prt_bench.lights import EnvironmentLight, Lighting, emitters, rotation_matrix
 from prt_bench.runtime.projection import to_glsl
 from prt_bench.runtime.views import ShadowViews, shadow_views
 

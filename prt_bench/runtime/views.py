@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from prt_bench.emitters import Emitters
 from prt_bench.errors import LightError
-from prt_bench.lights import Emitters
 from prt_bench.runtime.projection import any_up, corners, distance_to_box, look_along, orthographic, perspective
 
 NARROW = 0.5
