@@ -21,7 +21,7 @@ from data_gen.light import LightPass
 from data_gen.plan import plan
 from data_gen.sampling import measurement_points
 from data_gen.scenarios import check_lightings, sample_lightings
-from data_gen.trace import CHUNK, trace
+from data_gen.trace import CHUNK, trace, transport_key
 from data_gen.tracer import Tracer
 from prt_bench.dataset import LightingDataset
 from prt_bench.errors import SpecError
@@ -52,13 +52,17 @@ def bake(
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
     `texels`: side of the square lightmap; `lightings`: training lightings, with a quarter as many (at least 16) held out as
-    "test" and 16 for each out-of-scenario split "ood-<name>" in `ood`; `rays` per point; `measurements` points, each the
-    mean of `supersampling` samples. `out` is the folder for both stores (default: `data_folder()`). Equal arguments give
-    equal hashes for any number of `workers`, and an existing dataset is opened instead of baked.
+    "test" and 16 for each out-of-scenario split "ood-<name>" in `ood` (`scenario` itself is left out there); `rays` per
+    point; `measurements` points, each the mean of `supersampling` samples. `out` is the folder for both stores (default:
+    `data_folder()`). Equal arguments give equal hashes for any number of `workers`, and an existing dataset is opened
+    instead of baked.
 
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
     started = time.perf_counter()
+    if seed < 0:
+        raise SpecError(f"seed is {seed}, but must not be negative")
+    ood = tuple(name for name in dict.fromkeys(ood) if name != scenario)
     settings = plan(
         scene,
         scenario,
@@ -69,17 +73,15 @@ def bake(
         supersampling,
         tolerance,
         gather_texels,
-        tuple(ood),
+        ood,
         workers,
     )
     folder = Path(out) if out is not None else data_folder()
-    tracer = Tracer(scene, workers)
-    transport = trace(scene, settings, seed, folder, tracer)
-    traced = time.perf_counter()
-
     about = {
         "version": _VERSION,
-        "transport": transport.key,
+        "format": FORMAT,
+        "transport": transport_key(scene, settings, seed),
+        "camera": vars(scene.camera),
         "scenario": scenario,
         "lightings": lightings,
         "measurements": measurements,
@@ -89,11 +91,17 @@ def bake(
         "seed": seed,
     }
     path = folder / f"dataset-{scene.name}-{scenario}-{content_key(about)}.zarr"
+    tracer = Tracer(scene, workers)
     if path.is_dir():
+        trace(scene, settings, seed, folder, tracer)  # there already, unless someone took it away
         return LightingDataset.open(path)
 
+    # What may be refused comes before the rays.
     lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
     points = measurement_points(scene, measurements, supersampling, seed, tracer)
+    tracing = time.perf_counter()
+    transport = trace(scene, settings, seed, folder, tracer)
+    traced = time.perf_counter() - tracing
     light = LightPass(transport, tracer, emitters(lights), settings)
     columns = len(lights) * light.channels
     with resumable(path, int(1.1 * 4 * len(transport.receivers) * columns * 2.25)) as (partial, journal):
@@ -131,7 +139,7 @@ def bake(
             "effects": list(settings.effects),
             "plan": settings.to_json(),
             "predicted": vars(settings.cost),
-            "seconds": {"trace": traced - started, "light": time.perf_counter() - traced},
+            "seconds": {"trace": traced, "light": time.perf_counter() - started - traced},
             "hash": hashlib.sha256(("".join(digests) + _digest(measured)).encode()).hexdigest(),
         }
         group.attrs.update({"kind": "dataset", "format": FORMAT, "metadata": json.dumps(metadata)})

@@ -7,8 +7,10 @@ from math import ceil, log
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from data_gen.sampling import check_measurements
+from data_gen.scenarios import check_scenario
 from data_gen.tracer import Tracer
 from prt_bench.emitters import Emitters
 from prt_bench.errors import SpecError
@@ -33,7 +35,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Cost:
-    """Predicted or actual cost of a bake: rays of each kind, bytes on disk, peak bytes in memory, seconds."""
+    """Predicted cost of a bake: rays of each kind, bytes on disk, peak bytes in memory, seconds."""
 
     gather_rays: int
     shadow_rays: int
@@ -105,14 +107,19 @@ def plan(
     ood: tuple[str, ...] = (),
     workers: int | None = None,
 ) -> Plan:
-    """Decide what baking `scene` needs. Raises `SpecError` for settings that cannot be baked.
+    """Decide what baking `scene` needs.
 
-    `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light.
+    `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light. Raises
+    `SpecError` for settings that cannot be baked and `SceneError` for more measurement points than the surface can hold.
     """
-    for name, value, least in (("lightings", lightings, 1), ("texels", texels, 8), ("measurements", measurements, 1),
-                               ("supersampling", supersampling, 1)):  # fmt: skip
-        if value < least:
+    for name, value, least in (("lightings", lightings, 1), ("texels", texels, 8), ("gather_texels", gather_texels, 8),
+                               ("measurements", measurements, 1), ("supersampling", supersampling, 1),
+                               ("workers", workers, 1)):  # fmt: skip
+        if value is not None and value < least:
             raise SpecError(f"{name} is {value}, but a bake needs at least {least}")
+    for name in (scenario, *ood):
+        check_scenario(name)
+    check_measurements(scene, measurements, supersampling)
     if rays < 2 or rays % 2:
         raise SpecError(f"rays is {rays}, but it must be an even number from 2 up: the two halves measure the noise")
     if not 0 < tolerance < 1:
@@ -218,8 +225,12 @@ def _rates(scene: Scene, workers: int | None) -> tuple[float, float]:
 
     gather = GatherOperator.from_hits(rng.integers(0, 4096, (1024, 64)), 4096)
     light = jnp.ones((4096, 256), jnp.float32)
-    product = jax.jit(lambda operator, values: operator(values))
-    product(gather, light).block_until_ready()
+    _gathered(gather, light).block_until_ready()
     started = time.perf_counter()
-    product(gather, light).block_until_ready()
+    _gathered(gather, light).block_until_ready()
     return ray_rate, 1024 * 64 * 256 / (time.perf_counter() - started)
+
+
+@jax.jit
+def _gathered(gather: GatherOperator, light: Array) -> Array:
+    return gather(light)

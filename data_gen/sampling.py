@@ -88,15 +88,7 @@ def measurement_points(
     reaches through a wall. Points buried in solid geometry are not used. With `supersampling` 1 each point is its own
     group. Raises `SceneError` for more points than the surface can hold.
     """
-    if count < 1 or supersampling < 1:
-        raise SceneError(f"{count} measurement points with supersampling {supersampling}: both must be at least 1")
-    area = float(scene.mesh.areas.sum())
-    if 2.0 * poisson_radius(area, count) < CLOSEST_SPACING * scene.extent:
-        most = int(area / (2.0 * np.sqrt(3.0) * (0.5 * CLOSEST_SPACING * scene.extent) ** 2))
-        raise SceneError(
-            f"{count} measurement points do not fit on scene '{scene.name}': its {area:.3g} m² of surface hold at most"
-            f" {most}, so ask for fewer"
-        )
+    check_measurements(scene, count, supersampling)
     tracer = tracer or Tracer(scene)
     coarse_seed, dense_seed = np.random.SeedSequence(seed).spawn(2)
     points = _blue_noise(scene, count, coarse_seed, tracer)
@@ -106,12 +98,26 @@ def measurement_points(
     return points, dense, _groups(points, dense, supersampling, tracer)
 
 
+def check_measurements(scene: Scene, count: int, supersampling: int) -> None:
+    """Raise `SceneError` for more measurement points than the surface can hold, or for none."""
+    if count < 1 or supersampling < 1:
+        raise SceneError(f"{count} measurement points with supersampling {supersampling}: both must be at least 1")
+    area = float(scene.mesh.areas.sum())
+    if 2.0 * poisson_radius(area, count) < CLOSEST_SPACING * scene.extent:
+        most = int(area / (2.0 * np.sqrt(3.0) * (0.5 * CLOSEST_SPACING * scene.extent) ** 2))
+        raise SceneError(
+            f"{count} measurement points do not fit on scene '{scene.name}': its {area:.3g} m² of surface hold at most"
+            f" {most}, so ask for fewer"
+        )
+
+
 def _blue_noise(scene: Scene, count: int, seed: np.random.SeedSequence, tracer: Tracer) -> SurfacePoints:
     candidates = random_points(scene, CANDIDATES * count, seed)
     exposed = ~tracer.inside(candidates.position + tracer.offset * candidates.normal)
-    if np.sum(exposed) >= count:
-        candidates = candidates[exposed]
+    if np.sum(exposed) < count:  # all but everything is buried: buried points are better than none
+        exposed[:] = True
     area = float(scene.mesh.areas.sum() * np.mean(exposed))
+    candidates = candidates[exposed]
     return candidates[sample_elimination(candidates.position, count, area)]
 
 

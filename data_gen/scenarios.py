@@ -56,9 +56,7 @@ def sample_lightings(
     Lights are coloured unless `achromatic` (by default: whether the scene is). Raises `SpecError` for an unknown
     scenario and `LightError` where the scene has no room for such lights or none could reach it.
     """
-    if scenario not in _PROPOSALS:
-        nearest = get_close_matches(scenario, SCENARIOS, 1, 0.0)[0]
-        raise SpecError(f"unknown scenario '{scenario}'; did you mean '{nearest}' (of {', '.join(SCENARIOS)})?")
+    check_scenario(scenario)
     if count < 1:
         raise LightError(f"{count} lightings of scenario '{scenario}' were asked for, but at least 1 is needed")
     grey = scene.achromatic if achromatic is None else achromatic
@@ -73,6 +71,13 @@ def sample_lightings(
         f"scene '{scene.name}' has no place for {count} lightings of scenario '{scenario}':"
         f" only {len(lights)} of {_WAVE * _WAVES} candidates stand free and reach a surface's front"
     )
+
+
+def check_scenario(name: str) -> None:
+    """Raise `SpecError`, with the nearest name, for what is no scenario."""
+    if name not in _PROPOSALS:
+        nearest = get_close_matches(name, SCENARIOS, 1, 0.0)[0]
+        raise SpecError(f"unknown scenario '{name}'; did you mean '{nearest}' (of {', '.join(SCENARIOS)})?")
 
 
 def check_lightings(scene: Scene, lightings: Sequence[Lighting], tracer: Tracer) -> None:

@@ -14,29 +14,38 @@ from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.errors import SpecError
+from prt_bench.points import SurfacePoints
 from prt_bench.progress import track
 from prt_bench.scene import Scene
 from prt_bench.store import FORMAT, write_array, write_lightmap, write_points, write_scene
-from prt_bench.transport import tail_bounds
+from prt_bench.transport import GatherOperator, tail_bounds
 
 CHUNK = 1 << 14
 """Receivers that are traced, lit and stored together."""
 _VERSION = 2  # raise when the same inputs would give other hits
 
 
+def transport_key(scene: Scene, settings: Plan, seed: int) -> str:
+    """A short hash of everything that the hit tables depend on."""
+    return content_key(
+        {
+            "version": _VERSION,
+            "format": FORMAT,
+            "scene": scene.hash,
+            "texels": settings.texels,
+            "gather_texels": settings.gather_texels,
+            "rays": settings.rays,
+            "tolerance": settings.tolerance,
+            "effects": settings.effects,
+            "seed": seed,
+        }
+    )
+
+
 def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer) -> Transport:
     """Trace the hit tables of a scene once, or open them when they are there already."""
-    about = {
-        "version": _VERSION,
-        "scene": scene.hash,
-        "texels": settings.texels,
-        "gather_texels": settings.gather_texels,
-        "rays": settings.rays,
-        "tolerance": settings.tolerance,
-        "effects": settings.effects,
-        "seed": seed,
-    }
-    path = folder / f"transport-{scene.name}-{content_key(about)}.zarr"
+    key = transport_key(scene, settings, seed)
+    path = folder / f"transport-{scene.name}-{key}.zarr"
     if path.is_dir():
         return Transport.open(path)
     lightmap = unwrap(scene, settings.texels)
@@ -67,31 +76,28 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
         write_array(group, "buried", hidden)
         write_points(group, "samples", samples)
         sample_hits = "receiver_hits" if shared else "sample_hits"
-        traced = Transport(
-            scene, lightmap, receivers, hidden, samples, group["receiver_hits"], group[sample_hits], 0, ""
-        )
+        gather = GatherOperator.from_hits(np.asarray(group[sample_hits][...]), len(samples))
         group.attrs.update(
             {
                 "kind": "transport",
                 "format": FORMAT,
-                "key": content_key(about),
+                "key": key,
                 "sample_hits": sample_hits,
-                "bounces": _needed_bounces(traced, settings),
+                "bounces": _needed_bounces(gather, samples, settings, scene.name),
             }
         )
     return Transport.open(path)
 
 
-def _needed_bounces(transport: Transport, settings: Plan) -> int:
+def _needed_bounces(gather: GatherOperator, samples: SurfacePoints, settings: Plan, name: str) -> int:
     """The planner's bound, lowered to what the traced operator needs for the same tolerance."""
-    albedo = transport.samples.albedo.astype(np.float32)
-    bounds = tail_bounds(transport.sample_gather(), albedo, settings.bounces)
+    bounds = tail_bounds(gather, samples.albedo.astype(np.float32), settings.bounces)
     enough = np.flatnonzero(bounds <= settings.tolerance)
     if not enough.size and settings.bounces < 2:
         return settings.bounces
     if not enough.size:
         raise SpecError(
-            f"{settings.bounces} bounces leave up to {bounds[-1]:.2g} of the light in '{transport.scene.name}';"
+            f"{settings.bounces} bounces leave up to {bounds[-1]:.2g} of the light in '{name}';"
             " lower the largest albedo or raise the tolerance"
         )
     return int(enough[0]) + 1

@@ -19,7 +19,7 @@ from prt_bench.errors import DatasetError
 from prt_bench.lights import Lighting, light_from_json
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
-from prt_bench.store import open_group, read_lightmap, read_points, read_scene
+from prt_bench.store import camera_from_json, open_group, read_lightmap, read_points, read_scene
 from prt_bench.transport import GatherOperator
 
 
@@ -101,6 +101,9 @@ class LightingDataset:
         path = Path(path)
         group = open_group(path, "dataset")
         metadata = json.loads(str(group.attrs["metadata"]))
+        transport = Transport.open(path.parent / metadata["transport"])
+        # The transport may have been traced for another view of the same geometry.
+        scene = replace(transport.scene, camera=camera_from_json(metadata["camera"]))
         maps = {}
         if "environments" in group:
             for name in group["environments"].array_keys():
@@ -113,7 +116,7 @@ class LightingDataset:
         )
         splits = {name: tuple(rows) for name, rows in metadata["splits"].items()}
         return cls(
-            Transport.open(path.parent / metadata["transport"]),
+            replace(transport, scene=scene),
             read_points(group, "measurement_points"),
             read_points(group, "dense_points"),
             np.asarray(group["groups"][...]),

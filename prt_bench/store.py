@@ -11,7 +11,8 @@ from prt_bench.errors import DatasetError
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Camera, Material, Mesh, Scene
 
-FORMAT = 1
+FORMAT = 2
+"""Part of every store's name, so that what an earlier version wrote is left alone and baked anew."""
 _POINT_FIELDS = ("position", "normal", "albedo", "face", "barycentric")
 
 
@@ -94,8 +95,12 @@ def read_scene(group: Any) -> Scene:
         )
         for index, entry in enumerate(about["materials"])
     )
-    camera = Camera(**{key: tuple(v) if isinstance(v, list) else v for key, v in about["camera"].items()})
-    return Scene(about["name"], mesh, materials, camera, tuple(about["notes"]))
+    return Scene(about["name"], mesh, materials, camera_from_json(about["camera"]), tuple(about["notes"]))
+
+
+def camera_from_json(about: dict[str, Any]) -> Camera:
+    """The inverse of `vars` on a `Camera`, after JSON has made lists of its tuples."""
+    return Camera(**{key: tuple(value) if isinstance(value, list) else value for key, value in about.items()})
 
 
 def write_array(group: zarr.Group, key: str, array: np.ndarray, **attributes: str) -> None:

@@ -120,9 +120,9 @@ def indirect(
 def tail_bounds(gather: GatherOperator, albedo: Float[Array, "S C"], most: int) -> Float[np.ndarray, " bounces"]:
     """Upper bounds of the light that is missing after k = 1 … `most` bounces, relative to the brightest direct light.
 
-    t_k = ‖(Gρ)^k 1‖∞ bounds every bounce, and is submultiplicative, so after k bounces at most
-    Σ_{j>k} t_j ≤ t_{k+1} / (1 − t_1) remains; the geometric mean of the computed t_j sharpens t_1 where that is larger than
-    the actual decay. Raises `FitError` when nothing decays (albedo 1 in a closed scene).
+    t_k = ‖(Gρ)^k 1‖∞ bounds bounce k, so Σ_{j>k} t_j bounds what is missing. Terms are computed up to K = `most` + 1; as
+    t is submultiplicative, every further K of them are together at most t_K times the K before. Fewer bounds are returned
+    where light dies out earlier: the last one is then 0. Raises `FitError` when nothing decays (albedo 1 in a closed scene).
     """
     worst = jnp.max(albedo, axis=1)
     field = jnp.ones((albedo.shape[0], 1), albedo.dtype)
@@ -139,4 +139,4 @@ def tail_bounds(gather: GatherOperator, albedo: Float[Array, "S C"], most: int) 
     # Σ_{j>k} t_j: computed terms, then blocks of len(heights) bounces shrinking by the last height each.
     beyond = heights.sum() * heights[-1] / (1.0 - heights[-1]) if heights[-1] < 1 else np.inf
     remaining = heights[::-1].cumsum()[::-1] + beyond
-    return np.append(remaining[1:], beyond)
+    return np.append(remaining[1:], beyond)[:most]

@@ -79,6 +79,13 @@ def test_tail_bounds_hold_and_shrink() -> None:
         missing = (everything - np.asarray(indirect(gather, albedo, direct, bounces))).max()
         assert missing <= bounds[bounces - 1] * (1 + 1e-9)
     assert np.all(np.diff(bounds) < 0)
+    assert len(bounds) == 30
+
+
+def test_light_that_dies_out_has_a_last_bound_of_zero() -> None:
+    chain = np.arange(1, 5)[:, None]  # sample i sees sample i + 1, the last sees nothing
+    bounds = tail_bounds(GatherOperator.from_hits(chain, 4), jnp.ones((4, 1)), 30)
+    np.testing.assert_array_equal(bounds, [2.0, 1.0, 0.0, 0.0])
 
 
 def test_closed_scene_of_albedo_one_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from data_gen import bake as bake_module
 from data_gen import journal
 from data_gen import trace as trace_module
 from data_gen.hemisphere import HemisphereSampler, tangent_frames
-from prt_bench.errors import DatasetError, LightError, SpecError
+from prt_bench.errors import DatasetError, LightError, SceneError, SpecError
 
 SMALL = {"scenario": "point", "lightings": 6, "texels": 24, "rays": 32, "measurements": 24, "supersampling": 2}
 
@@ -153,12 +154,48 @@ def test_relighting_with_nothing_is_refused(dataset: prt.LightingDataset) -> Non
         ({"tolerance": 0.0}, "tolerance is 0"),
         ({"texels": 2}, "texels is 2"),
         ({"scenario": "moonlight"}, "moonlight"),
+        ({"ood": ("moonlight",)}, "moonlight"),
+        ({"seed": -1}, "seed is -1"),
+        ({"workers": 0}, "workers is 0"),
+        ({"gather_texels": 0}, "gather_texels is 0"),
     ],
 )
 def test_impossible_settings_are_refused(scene: prt.Scene, tmp_path: Path, settings: dict, word: str) -> None:
     with pytest.raises(SpecError, match=word):
         prt.bake(scene, **{**SMALL, **settings}, out=tmp_path)
-    assert not list(tmp_path.glob("dataset*"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_the_scene_cannot_hold_is_refused_before_any_ray(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="do not fit"):
+        prt.bake(prt.load_scene("cornell"), **{**SMALL, "measurements": 10**6}, out=tmp_path)
+    with pytest.raises(LightError, match="no place"):
+        prt.bake(prt.load_scene("furnace"), **{**SMALL, "scenario": "directional"}, out=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_view_of_the_scene_is_kept_and_shares_the_rays(dataset: prt.LightingDataset) -> None:
+    camera = prt.Camera((0.2, 1.2, 3.5), (0.0, 1.0, 0.0), fov_y=50.0)
+    out = dataset.path.parent
+    turned = prt.bake(replace(dataset.scene, camera=camera), **SMALL, ood=("directional",), out=out)
+    assert prt.LightingDataset.open(turned.path).scene.camera == camera
+    assert prt.LightingDataset.open(dataset.path).scene.camera == dataset.scene.camera != camera
+    assert turned.hash == dataset.hash
+    assert len(list(out.glob("transport-*"))) == 1
+
+
+def test_a_transport_that_was_taken_away_is_traced_again(scene: prt.Scene, tmp_path: Path) -> None:
+    before = prt.bake(scene, **SMALL, out=tmp_path)
+    (transport,) = tmp_path.glob("transport-*")
+    shutil.rmtree(transport)
+    assert prt.bake(scene, **SMALL, out=tmp_path).transport.key == before.transport.key
+
+
+def test_out_of_scenario_splits_are_of_other_scenarios_and_named_once(
+    scene: prt.Scene, dataset: prt.LightingDataset
+) -> None:
+    again = prt.bake(scene, **SMALL, ood=("point", "directional", "directional"), out=dataset.path.parent)
+    assert again.path == dataset.path
 
 
 def test_opening_what_is_not_a_dataset(tmp_path: Path) -> None:
