@@ -10,7 +10,7 @@ JOBS ?= 2
 GL     := libegl1 libgl1 libgl1-mesa-dri
 ORACLE := libllvm19
 
-.PHONY: run test lint format lock clean
+.PHONY: run test assets lint format lock clean
 
 # The main job: bake, fit, evaluate, time, report.
 run: $(VENV)/installed
@@ -20,6 +20,10 @@ run: $(VENV)/installed
 test: $(VENV)/installed-dev
 	@$(call system_packages,$(GL) $(ORACLE))
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
+
+# Meshes that are not vendored, for the scenes that use them; nothing else needs this step.
+assets: $(VENV)/installed
+	$(BIN)/prt-bench assets
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -5,6 +5,9 @@ when its square overlaps a triangle, so every chart has receivers and a hit alwa
 """
 
 import logging
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import xatlas
@@ -12,6 +15,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from data_gen.journal import content_key, write_whole
 from data_gen.raster import overlaps, rasterise
 from prt_bench.errors import SceneError
 from prt_bench.points import Lightmap, SurfacePoints
@@ -21,11 +25,14 @@ PADDING = 2
 """Empty texels between charts at least: room for lookups half a texel off a chart, on either side."""
 _FIT_STEPS = 12
 _NO_CHART = -1
+_VERSION = 1  # raise when the same scene would be cut into other charts
 _log = logging.getLogger(__name__)
 
 
-def unwrap(scene: Scene, resolution: int) -> Lightmap:
+def unwrap(scene: Scene, resolution: int, folder: Path | None = None) -> Lightmap:
     """The lightmap of a scene, `resolution` texels on a side; the same every time.
+
+    Charts do not depend on the resolution, and cutting 75,000 triangles into them takes a minute: `folder` keeps them.
 
     The scene's texture coordinates are used when they lie in [0, 1], no face is degenerate in them, and no texel is
     shared by two charts or overlapping faces; otherwise xatlas makes charts and packs them as large as fits. The log
@@ -38,7 +45,7 @@ def unwrap(scene: Scene, resolution: int) -> Lightmap:
         corner_uv, chart = np.asarray(scene.mesh.uv, float), _components(scene)
         _log.info("%s: keeps its own texture coordinates as atlas", scene.name)
     else:
-        corner_uv, chart = _pack(*_parametrise(scene), resolution, scene.name)
+        corner_uv, chart = _pack(*_charts(scene, folder), resolution, scene.name)
         _log.info("%s: unwrapped into %d charts, because %s", scene.name, chart.max() + 1, flaw)
     lost = int(np.sum(chart == _NO_CHART))
     if lost:
@@ -90,6 +97,21 @@ def _components(scene: Scene) -> Int[np.ndarray, " F"]:
     face = np.repeat(np.arange(len(corner)), 3)
     incidence = coo_array((np.ones(len(face), bool), (face, edge.reshape(-1)))).tocsr()
     return connected_components(incidence @ incidence.T, directed=False)[1]
+
+
+def _charts(scene: Scene, folder: Path | None) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
+    """What `_parametrise` gives, from `folder` where an earlier call left it."""
+    if folder is None:
+        return _parametrise(scene)
+    about = {"version": _VERSION, "xatlas": version("xatlas"), "scene": scene.hash}
+    path = folder / f"charts-{scene.name}-{content_key(about)}.npz"
+    if not path.is_file():
+        corner_uv, held = _parametrise(scene)
+        content = BytesIO()
+        np.savez(content, corner_uv=corner_uv, held=held)
+        write_whole(path, content.getvalue())
+    with np.load(path) as kept:
+        return kept["corner_uv"], kept["held"]
 
 
 def _parametrise(scene: Scene) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:

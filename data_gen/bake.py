@@ -7,7 +7,6 @@ same bits.
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Sequence
 from math import ceil
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import zarr
 
-from data_gen.journal import content_key, create_array, resumable
+from data_gen.journal import content_key, create_array, data_folder, resumable
 from data_gen.light import LightPass
 from data_gen.plan import plan
 from data_gen.sampling import measurement_points
@@ -184,13 +183,6 @@ def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | Non
         metadata,
         (0, len(lights)),
     )
-
-
-def data_folder() -> Path:
-    """Where datasets go unless told otherwise: $PRT_BENCH_DATA, or prt-bench in the user's cache folder."""
-    chosen = os.environ.get("PRT_BENCH_DATA")
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return Path(chosen) if chosen else cache / "prt-bench"
 
 
 def _draw(

@@ -1,5 +1,7 @@
-"""Long writes that survive an interruption: a store is filled under a `.partial` name, chunk by chunk, with a journal of
-what is done, and takes its final name only when it is whole."""
+"""Where data goes, and writes that survive an interruption: nothing takes its final name before it is whole.
+
+A store is filled under a `.partial` name, chunk by chunk, with a journal of what is done; a small file is written at once.
+"""
 
 import errno
 import hashlib
@@ -48,7 +50,7 @@ class Journal:
 def resumable(path: Path, needed_bytes: int) -> Iterator[tuple[Path, Journal]]:
     """A partial folder and its journal; on a clean exit the folder becomes `path`.
 
-    Raises `DatasetError` before anything is written when the disk cannot hold `needed_bytes`, and when it fills up on the
+    Raises `DatasetError` before the store is begun when the disk cannot hold `needed_bytes`, and when it fills up on the
     way; what was finished stays under the partial name and the next run goes on from there.
     """
     partial = path.with_name(path.name + ".partial")
@@ -59,16 +61,41 @@ def resumable(path: Path, needed_bytes: int) -> Iterator[tuple[Path, Journal]]:
             f"the disk of {path.parent} has {free / 1e9:.2f} GB free, but the bake needs {needed_bytes / 1e9:.2f} GB;"
             " free some space or lower texels or lightings"
         )
-    try:
+    with _told_of_a_full_disk(path.parent):
         partial.mkdir(exist_ok=True)
         journal = Journal(partial)
         yield partial, journal
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise DatasetError(f"the disk of {path.parent} is full; free some space and run again to resume") from error
-        raise
     (partial / "journal.jsonl").unlink(missing_ok=True)
     partial.rename(path)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a small file, which appears under its name complete or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    with _told_of_a_full_disk(path.parent):
+        try:
+            partial.write_bytes(content)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def _told_of_a_full_disk(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise DatasetError(f"the disk of {folder} is full; free some space and run again to resume") from error
+        raise
+
+
+def data_folder() -> Path:
+    """Where data goes unless told otherwise: $PRT_BENCH_DATA, or prt-bench in the user's cache folder."""
+    chosen = os.environ.get("PRT_BENCH_DATA")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return Path(chosen) if chosen else cache / "prt-bench"
 
 
 def content_key(about: dict[str, Any]) -> str:

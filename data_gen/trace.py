@@ -48,10 +48,10 @@ def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer)
     path = folder / f"transport-{scene.name}-{key}.zarr"
     if path.is_dir():
         return Transport.open(path)
-    lightmap = unwrap(scene, settings.texels)
+    lightmap = unwrap(scene, settings.texels, folder)
     receivers = lightmap_points(scene, lightmap)
     shared = settings.gather_texels == settings.texels
-    gather_map = lightmap if shared else unwrap(scene, settings.gather_texels)
+    gather_map = lightmap if shared else unwrap(scene, settings.gather_texels, folder)
     samples = receivers if shared else lightmap_points(scene, gather_map)
     hidden = buried(tracer, receivers, seed)
     resolver = HitResolver.create(gather_map, samples, hidden if shared else buried(tracer, samples, seed))

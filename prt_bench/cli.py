@@ -82,12 +82,13 @@ def _time(args: argparse.Namespace) -> None:
 
     ds = prt.LightingDataset.open(args.dataset)
     assets = {str(path): prt.load_asset(path) for path in args.assets}
+    spec, loaded = TimeSpec(rounds=args.rounds), {}
     try:
-        runtime = Runtime(ds)
+        runtime = Runtime(ds, spec.size, spec.shadow_resolution)
+        loaded = {path: runtime.load(asset) for path, asset in assets.items()}
     except RuntimeUnavailable as error:
         print(f"prt-bench: {error}; timing JAX alone", file=sys.stderr)
-        runtime = None
-    for path, timings in time_assets(ds, assets, TimeSpec(rounds=args.rounds), runtime).items():
+    for path, timings in time_assets(ds, assets, loaded, spec).items():
         for timing in timings:
             print(f"{path}  {timing.api} on {timing.device} ({timing.clock} clock)")
             for stage, figure in timing.stages.items():
@@ -127,6 +128,15 @@ def _scenes(_: argparse.Namespace) -> None:
 
     for name in prt.scenes():
         print(f"{name:<14} {summary(name)}")
+
+
+def _assets(args: argparse.Namespace) -> None:
+    from data_gen.fetch import LICENCE, MESHES, PACKAGE, fetch
+
+    for name, fetched in fetch(args.names).items():
+        mesh = MESHES[name]
+        state = "fetched" if fetched else "here already"
+        print(f"{name:<10} {state}: {mesh.path} ({mesh.about}; {mesh.triangles} triangles, {PACKAGE}, {LICENCE})")
 
 
 def _methods(_: argparse.Namespace) -> None:
@@ -231,6 +241,8 @@ def _parser() -> argparse.ArgumentParser:
         )
 
     command("scenes", _scenes, "built-in scenes")
+    made = command("assets", _assets, "fetch the meshes of scenes that need one which is not vendored")
+    made.add_argument("names", nargs="*", metavar="NAME", help="meshes to fetch (default: all)")
     command("methods", _methods, "transfer methods that are installed")
     made = command("check-method", _check_method, "run the contract tests on a method")
     made.add_argument("name", metavar="NAME")

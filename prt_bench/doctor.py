@@ -102,7 +102,7 @@ def _opengl() -> list[Finding]:
 def _jax() -> str:
     import jax
 
-    devices = ", ".join(f"{device.platform} {device.device_kind}" for device in jax.devices())
+    devices = ", ".join(device.device_kind for device in jax.devices())
     return f"{jax.__version__} on {devices}; 64-bit floats {'on' if jax.config.jax_enable_x64 else 'off'}"  # pyright: ignore
 
 
@@ -112,7 +112,7 @@ def _memory() -> str:
 
 def _disk() -> str:
     def free() -> str:
-        from data_gen.bake import data_folder
+        from data_gen.journal import data_folder
 
         folder: Path = data_folder()
         existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())

@@ -39,6 +39,22 @@ def test_unwrapping_is_deterministic(unwrapped):
     assert np.array_equal(again.texel, lightmap.texel)
 
 
+def test_charts_are_kept_for_every_resolution(tmp_path, monkeypatch):
+    from data_gen import atlas
+
+    scene = load_scene("cornell")
+    fresh = {texels: unwrap(scene, texels) for texels in (32, 64)}
+    unwrap(scene, 32, tmp_path)
+    monkeypatch.setattr(atlas, "_parametrise", None)
+    for texels, lightmap in fresh.items():
+        kept = unwrap(scene, texels, tmp_path)
+        assert np.array_equal(kept.corner_uv, lightmap.corner_uv)
+        assert np.array_equal(kept.texel, lightmap.texel)
+    assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
+    with pytest.raises(TypeError):  # another scene has charts of its own
+        unwrap(load_scene("two-plates"), 32, tmp_path)
+
+
 def test_every_face_and_chart_has_texels(unwrapped):
     _, lightmap, points = unwrapped
     assert lightmap.chart.min() == 0

@@ -8,9 +8,11 @@ import pytest
 from scipy.integrate import dblquad
 
 from data_gen import assets
-from data_gen.geometry import repair
+from data_gen.fetch import MESHES
+from data_gen.geometry import Part, is_closed, repair
 from data_gen.scenes import cornell, furnace, load_scene, scenes, summary, two_plates
 from prt_bench.errors import SceneError
+from prt_bench.scene import Scene
 
 
 def test_every_scene_file_is_found_by_its_name():
@@ -19,9 +21,16 @@ def test_every_scene_file_is_found_by_its_name():
     assert set(scenes()) == files >= {"cornell", "furnace", "suzanne", "two-plates"}
 
 
+def scene_at_hand(name: str) -> Scene:
+    """A built-in scene, or a skipped test where it needs a mesh that was not fetched."""
+    if name in MESHES and not MESHES[name].intact:
+        pytest.skip(f"prt-bench assets {name} was not run")
+    return load_scene(name)
+
+
 @pytest.mark.parametrize("name", scenes())
 def test_scene_is_sound_and_deterministic(name):
-    scene = load_scene(name)
+    scene = scene_at_hand(name)
     assert scene.name == name
     assert summary(name).endswith(".")
     assert repair(scene.mesh, name)[1] == ()
@@ -33,7 +42,7 @@ def test_scene_is_sound_and_deterministic(name):
 def test_camera_sees_fronts(name):
     from data_gen.tracer import Tracer
 
-    scene = load_scene(name)
+    scene = scene_at_hand(name)
     origin = np.array(scene.camera.position)
     aims = np.array(scene.camera.target) + 0.1 * np.random.default_rng(0).normal(size=(64, 3))
     hits = Tracer(scene).intersect(np.tile(origin, (64, 1)), aims - origin)
@@ -81,6 +90,24 @@ def test_suzanne_stands_on_the_ground_in_front_of_the_wall():
     assert figure[..., 1].min() == pytest.approx(0.0, abs=1e-12)
     assert np.sum(np.unique(figure.reshape(-1, 3), axis=0)[:, 1] < 2e-3) > 5  # both at chin and skull
     assert figure[..., 0].min() > mesh.triangles[mesh.material == 1][..., 0].max()
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_fetched_mesh_is_closed_and_stands_free_of_the_wall(name):
+    mesh = scene_at_hand(name).mesh
+    figure = mesh.triangles[mesh.material == 2]
+    assert len(figure) == MESHES[name].triangles > 20_000
+    assert is_closed(Part(figure.reshape(-1, 3), np.arange(figure[..., 0].size).reshape(-1, 3), 2))
+    assert np.einsum("fd,fd->", figure[:, 0], np.cross(figure[:, 1], figure[:, 2])) > 0  # outside out
+    assert figure[..., 1].min() == 0.0
+    assert figure[..., 0].min() > mesh.triangles[mesh.material == 1][..., 0].max() + 0.1
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_scene_without_its_mesh_says_how_to_get_it(name, tmp_path, monkeypatch):
+    monkeypatch.setenv("PRT_BENCH_DATA", str(tmp_path))
+    with pytest.raises(SceneError, match=f"'prt-bench assets {name}' fetches it"):
+        load_scene(name)
 
 
 def test_vendored_files_match_their_checksums():
