@@ -106,15 +106,13 @@ class FrameComparison:
 
 
 def time_assets(
-    ds: LightingDataset, assets: Mapping[str, RuntimeAsset], spec: TimeSpec, runtime: Runtime | None
+    ds: LightingDataset, assets: Mapping[str, RuntimeAsset], loaded: Mapping[str, LoadedAsset], spec: TimeSpec
 ) -> dict[str, tuple[Timing, ...]]:
-    """Timings of assets by label under the first test lighting: in the runtime, when there is one, and in JAX."""
+    """Timings of assets by label under the first test lighting: in the runtime those that it `loaded`, and all in JAX."""
     test = ds.split("test")
+    in_runtime = time_in_runtime(loaded, test.lightings[0], spec.rounds, spec.warmup) if loaded else {}
     in_jax = time_stages(assets, test, spec.rounds, spec.warmup)
-    if runtime is None:
-        return {label: (timing,) for label, timing in in_jax.items()}
-    in_runtime = time_in_runtime(runtime, assets, test.lightings[0], spec.rounds, spec.warmup)
-    return {label: (*in_runtime[label], in_jax[label]) for label in assets}
+    return {label: (*in_runtime.get(label, ()), in_jax[label]) for label in assets}
 
 
 def _parity(loaded: LoadedAsset, held_out: LightingDataset) -> float:

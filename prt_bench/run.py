@@ -5,6 +5,7 @@ that was interrupted goes on with the first pair that has no rows.
 """
 
 import hashlib
+import itertools
 import json
 import signal
 import time
@@ -17,11 +18,12 @@ from types import FrameType
 import jax
 
 from data_gen.bake import bake
+from data_gen.plan import plan
 from data_gen.scenes import load_scene
 from prt_bench import records
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
-from prt_bench.errors import PrtBenchError, RuntimeUnavailable, SpecError
+from prt_bench.errors import AssetError, RuntimeUnavailable, SpecError
 from prt_bench.evaluate import describe, evaluate
 from prt_bench.frames import FrameComparison, time_assets
 from prt_bench.methods import method
@@ -30,6 +32,7 @@ from prt_bench.models import Model
 from prt_bench.progress import say, track
 from prt_bench.records import Record
 from prt_bench.report import write_leaderboard, write_report
+from prt_bench.runtime.indirect import LoadedAsset
 from prt_bench.spec import MethodSpec, RunSpec
 
 _MARK = "run.json"
@@ -59,6 +62,9 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
     methods = [(row, method(row.name, **row.settings)) for row in spec.methods]
     scenes = [load_scene(source) for source in spec.scenes]
     folder = out or Path("runs") / spec.name
+    settings = {key: value for key, value in asdict(spec.bake).items() if key != "scenarios"}
+    for scene, scenario in itertools.product(scenes, spec.bake.scenarios):
+        plan(scene, scenario, **settings)  # refuses what cannot be baked, before anything is written
     _claim(folder, spec)
     done = {(r.scene, r.scenario) for r in records.read(folder / "records.jsonl")} if _has_records(folder) else set()
     for scene in scenes:
@@ -66,7 +72,6 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
             if (scene.name, scenario) in done:
                 say(f"{scene.name} ({scenario}) is measured already")
                 continue
-            settings = {key: value for key, value in asdict(spec.bake).items() if key != "scenarios"}
             ds = bake(scene, scenario, seed=spec.seed, out=folder / "data", **settings)
             rows = [_fit(ds, row, chosen, spec, folder) for row, chosen in track(methods, f"fit {scene.name}")]
             measured = list(_measure(ds, rows, spec, folder))
@@ -77,14 +82,14 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
 
 
 def _claim(folder: Path, spec: RunSpec) -> None:
-    """Make the folder, or take up a run of the same specification in it."""
+    """Make the folder, or take up a run in it: of the same specification, or of one that measured nothing yet."""
     digest = hashlib.sha256(json.dumps(asdict(spec), sort_keys=True, default=dict).encode()).hexdigest()
     mark = folder / _MARK
     if mark.is_file():
-        if json.loads(mark.read_text(encoding="utf-8")).get("spec") != digest:
+        other = json.loads(mark.read_text(encoding="utf-8")).get("spec") != digest
+        if other and _has_records(folder):
             raise SpecError(f"{folder} holds a run of another specification; choose another --out or delete it")
-        return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SpecError(f"{folder} holds something that is not a prt-bench run; choose another --out")
     folder.mkdir(parents=True, exist_ok=True)
     mark.write_text(json.dumps({"spec": digest, "name": spec.name}) + "\n", encoding="utf-8")
@@ -101,33 +106,29 @@ def _fit(ds: LightingDataset, row: MethodSpec, chosen: Method, spec: RunSpec, fo
     started = time.perf_counter()
     try:
         with _time_limit(spec.timeout):
-            fitted.model = jax.block_until_ready(chosen.fit(ds.split("train"), jax.random.key(spec.seed)))
+            model = jax.block_until_ready(chosen.fit(ds.split("train"), jax.random.key(spec.seed)))
+        fitted.seconds = time.perf_counter() - started
+        if model.kernels:
+            name = f"{ds.scene.name}-{ds.metadata['scenario']}-{label}".replace(" ", "-")
+            fitted.asset = model.export(folder / "assets" / name, row.storage)
+        else:
+            fitted.status, fitted.reason = "oracle", "it needs the answer to predict it, so it cannot run in real time"
+        fitted.model = model
     except TimeoutError:
         fitted.status, fitted.reason = "timeout", f"the fit took more than {spec.timeout:g} s"
-    except (PrtBenchError, ArithmeticError, MemoryError, ValueError) as error:
+    except OSError:  # a full disk, say: no fault of the method
+        raise
+    except Exception as error:  # a plug-in may fail in any way; the other rows are worth having
         fitted.status, fitted.reason = "failed", f"{type(error).__name__}: {error}"
-    fitted.seconds = time.perf_counter() - started
-    if fitted.model is not None and fitted.model.kernels:
-        name = f"{ds.scene.name}-{ds.metadata['scenario']}-{label}".replace(" ", "-")
-        fitted.asset = fitted.model.export(folder / "assets" / name, row.storage)
-    elif fitted.model is not None:
-        fitted.status, fitted.reason = "oracle", "it needs the answer to predict it, so it cannot run in real time"
+    fitted.seconds = fitted.seconds or time.perf_counter() - started
     return fitted
 
 
 def _measure(ds: LightingDataset, rows: Sequence[Fitted], spec: RunSpec, folder: Path) -> Iterator[Record]:
     """Accuracy, frames and timings of all rows on every held-out split."""
     assets = {row.label: row.asset for row in rows if row.asset is not None}
-    frames, loaded = None, {}
-    try:
-        frames = FrameComparison(ds, spec.time, folder)
-        loaded = {label: frames.runtime.load(asset) for label, asset in assets.items()}
-    except RuntimeUnavailable as error:
-        say(f"{error}; rows have JAX timings only")
-        for row in rows:
-            if row.asset is not None:
-                row.status, row.reason = "no-gl", str(error)
-    timings = time_assets(ds, assets, spec.time, frames.runtime if frames else None)
+    frames, loaded = _load(ds, rows, spec, folder)
+    timings = time_assets(ds, assets, loaded, spec.time)
     for split in [name for name in ds.splits if name != "train"]:
         held_out = ds.split(split)
         for row in track(rows, f"evaluate {ds.scene.name} ({split})"):
@@ -144,9 +145,30 @@ def _measure(ds: LightingDataset, rows: Sequence[Fitted], spec: RunSpec, folder:
             yield replace(record, status=row.status, reason=row.reason, settings=settings, provenance=provenance)
 
 
+def _load(
+    ds: LightingDataset, rows: Sequence[Fitted], spec: RunSpec, folder: Path
+) -> tuple[FrameComparison | None, dict[str, LoadedAsset]]:
+    """The runtime, where there is one, and the assets that it could load; a row that it cannot run says why."""
+    shipped = {row.label: (row, row.asset) for row in rows if row.asset is not None}
+    try:
+        frames = FrameComparison(ds, spec.time, folder)
+    except RuntimeUnavailable as error:
+        say(f"{error}; rows have JAX timings only")
+        for row, _ in shipped.values():
+            row.status, row.reason = "no-gl", str(error)
+        return None, {}
+    loaded = {}
+    for label, (row, asset) in shipped.items():
+        try:
+            loaded[label] = frames.runtime.load(asset)
+        except AssetError as error:  # more than this GPU holds
+            row.status, row.reason = "no-gl", str(error)
+    return frames, loaded
+
+
 @contextmanager
 def _time_limit(seconds: float) -> Iterator[None]:
-    """Raise `TimeoutError` in the main thread after `seconds`."""
+    """Raise `TimeoutError` in the main thread after `seconds`, once Python runs again."""
 
     def stop(_: int, __: FrameType | None) -> None:
         raise TimeoutError

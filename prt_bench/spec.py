@@ -6,8 +6,10 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from types import UnionType
+from types import NoneType, UnionType
 from typing import Any, Self, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from prt_bench.errors import SpecError
 
@@ -39,6 +41,12 @@ class TimeSpec:
     rounds: int = 7
     warmup: int = 2
 
+    def __post_init__(self) -> None:
+        least = {"size": 16, "shadow_resolution": 16, "rounds": 1, "warmup": 0}
+        for name, bound in least.items():
+            if np.min(getattr(self, name)) < bound:
+                raise SpecError(f"{name} is {getattr(self, name)}, but must be at least {bound}")
+
 
 @dataclass(frozen=True)
 class MethodSpec:
@@ -51,7 +59,10 @@ class MethodSpec:
 
 @dataclass(frozen=True)
 class RunSpec:
-    """A benchmark run. `timeout` bounds the seconds one fit may take; a fit over it becomes a row that says so."""
+    """A benchmark run. `timeout` bounds the seconds one fit may take; a fit over it becomes a row that says so.
+
+    The clock is looked at between calls into compiled code, which are let finish.
+    """
 
     name: str
     scenes: tuple[str, ...]
@@ -60,6 +71,12 @@ class RunSpec:
     timeout: float = 600.0
     bake: BakeSpec = field(default_factory=BakeSpec)
     time: TimeSpec = field(default_factory=TimeSpec)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise SpecError(f"seed is {self.seed}, but must not be negative")
+        if not self.timeout > 0:
+            raise SpecError(f"timeout is {self.timeout:g} s, but must be above zero")
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -100,6 +117,11 @@ def build(kind: type[T], table: Mapping[str, Any], where: str, extra: tuple[str,
     except TypeError as error:
         missing = [name for name in known if f"'{name}'" in str(error)]
         raise SpecError(f"{where} lacks the key '{missing[0] if missing else '?'}'") from error
+    except SpecError as error:
+        raise SpecError(f"{where}: {error}") from error
+
+
+_WORDS = {int: "an integer", float: "a number", bool: "true or false", str: "text in quotes", tuple: "a list"}
 
 
 def convert(value: Any, hint: Any, where: str) -> Any:
@@ -114,7 +136,7 @@ def convert(value: Any, hint: Any, where: str) -> Any:
             return float(value)
         elif isinstance(option, type) and isinstance(value, option) and (option is bool or not isinstance(value, bool)):
             return value
-    wanted = " or ".join(str(getattr(option, "__name__", option)) for option in options)
+    wanted = " or ".join(_WORDS[get_origin(option) or option] for option in options if option is not NoneType)
     raise SpecError(f"{where} is {value!r}, but must be {wanted}")
 
 

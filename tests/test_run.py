@@ -1,16 +1,23 @@
 """The main job and the command line: what a run leaves, what it takes up again, and what it refuses."""
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import jax.numpy as jnp
 import pytest
 
 from prt_bench import frames, records
 from prt_bench import run as run_module
+from prt_bench.assets import RuntimeAsset
 from prt_bench.cli import main
-from prt_bench.errors import FitError, RuntimeUnavailable, SpecError
+from prt_bench.dataset import LightingDataset
+from prt_bench.errors import AssetError, FitError, RuntimeUnavailable, SpecError
 from prt_bench.methods.base import Method
+from prt_bench.models import LinearModel
+from prt_bench.runtime import context
+from prt_bench.runtime import runtime as runtime_module
 from prt_bench.spec import RunSpec
 
 SPEC = """
@@ -86,18 +93,67 @@ class Broken(Method):
     summary: ClassVar[str] = "fails"
     citation: ClassVar[str] = "none"
 
-    def fit(self, ds: object, key: object = None) -> None:
-        raise FitError("this data cannot be fitted")
+    how: str = "refuses"
+
+    def fit(self, ds: LightingDataset, key: object = None) -> LinearModel:
+        if self.how == "refuses":
+            raise FitError("this data cannot be fitted")
+        if self.how == "trips":
+            raise KeyError("a slip of a plug-in")
+        if self.how == "dawdles":
+            time.sleep(60)
+        return LinearModel(jnp.full((len(ds.points), 1), jnp.nan), jnp.zeros((1, 1, ds.measured.shape[1] + 1)))
 
 
-def test_a_failing_method_is_a_row_with_its_reason(spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("how", "status", "reason"),
+    [
+        ("refuses", "failed", "this data cannot be fitted"),
+        ("trips", "failed", "a slip of a plug-in"),
+        ("gives nonsense", "failed", "weights 'basis' are not finite"),
+        ("dawdles", "timeout", "more than 2 s"),
+    ],
+)
+def test_a_failing_method_is_a_row_with_its_reason(
+    how: str, status: str, reason: str, spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = run_module.method
-    monkeypatch.setattr(run_module, "method", lambda name, **s: Broken() if s.get("basis") == 2 else found(name, **s))
+    if how == "dawdles":
+        spec.write_text("timeout = 2\n" + SPEC.replace("basis = [2, 3]", "basis = 2"), encoding="utf-8")
+    broken = Broken(how)
+    monkeypatch.setattr(run_module, "method", lambda name, **s: broken if s.get("basis") == 2 else found(name, **s))
     rows = run_without_gl(spec, tmp_path / "out", monkeypatch)
     failed = [row for row in rows if row.method == "broken"]
-    assert {row.status for row in failed} == {"failed"}
-    assert "this data cannot be fitted" in (failed[0].reason or "")
-    assert len(rows) == 6
+    assert {row.split for row in failed} == {"test", "ood-spot"}
+    assert {row.status for row in failed} == {status}
+    assert reason in (failed[0].reason or "")
+    assert {row.method for row in rows} >= {"reference"}
+
+
+@pytest.mark.gl
+def test_an_asset_that_the_runtime_cannot_hold_is_timed_in_jax_alone(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = runtime_module.Runtime.load
+
+    def load_small_ones(self: runtime_module.Runtime, asset: RuntimeAsset) -> object:
+        if asset.arrays["basis"].shape[1] > 2:
+            raise AssetError("3 basis functions are too many")
+        return load(self, asset)
+
+    try:
+        context.headless()
+    except RuntimeUnavailable as error:
+        pytest.skip(str(error))
+    monkeypatch.setattr(runtime_module.Runtime, "load", load_small_ones)
+    assert main(["run", str(spec), "--out", str(tmp_path / "out")]) == 0
+    rows = {row.label: row for row in records.read(tmp_path / "out" / "records.jsonl") if row.split == "test"}
+    assert [timing.api for timing in rows["svd-ridge b2"].timings][-2:] == ["gl", "jax"]
+    assert rows["svd-ridge b2"].status == "ok"
+    assert rows["svd-ridge b3"].status == "no-gl"
+    assert rows["svd-ridge b3"].reason == "3 basis functions are too many"
+    assert [timing.api for timing in rows["svd-ridge b3"].timings] == ["jax"]
+    assert rows["svd-ridge b3"].errors.flip is not None
 
 
 def test_a_folder_with_something_else_is_left_alone(
@@ -114,9 +170,16 @@ def test_a_folder_with_something_else_is_left_alone(
     ("change", "words"),
     [
         (("lightings = 4", "lightngs = 4"), "[bake] has the unknown key 'lightngs'; did you mean 'lightings'?"),
-        (("lightings = 4", 'lightings = "many"'), "key 'lightings' is 'many', but must be int"),
+        (("lightings = 4", 'lightings = "many"'), "key 'lightings' is 'many', but must be an integer"),
         (('scenes = ["cornell"]', ""), "lacks the key 'scenes'"),
         (('scenes = ["cornell"]', "scenes = []"), "names no scenes"),
+        (('scenes = ["cornell"]', 'scenes = "cornell"'), "key 'scenes' is 'cornell', but must be a list"),
+        (("rounds = 1", "rounds = 0"), "[time]: rounds is 0, but must be at least 1"),
+        (("size = [64, 48]", "size = [64, 0]"), "[time]: size is (64, 0), but must be at least 16"),
+        (('name = "tiny"', 'name = "tiny"\ntimeout = 0'), "timeout is 0 s"),
+        (('name = "tiny"', 'name = "tiny"\nseed = -1'), "seed is -1"),
+        (("lightings = 4", "lightings = 0"), "lightings is 0"),
+        (('ood = ["spot"]', 'ood = ["spott"]'), "unknown scenario 'spott'; did you mean 'spot'"),
         (("basis = [2, 3]", "bases = 3"), "has no setting 'bases'"),
         (('name = "svd-ridge"', 'name = "svd-rigde"'), "svd-ridge"),
         (('name = "svd-ridge"', 'storage = "float8"\nname = "svd-ridge"'), "storage 'float8'"),
@@ -146,5 +209,9 @@ def test_lists_of_settings_span_a_grid(spec: Path) -> None:
 def test_another_specification_does_not_take_up_a_run(spec: Path, tmp_path: Path) -> None:
     run_module._claim(tmp_path / "out", RunSpec.read(spec))
     spec.write_text(SPEC.replace("rays = 16", "rays = 32"), encoding="utf-8")
+    run_module._claim(tmp_path / "out", RunSpec.read(spec))  # nothing was measured yet
+    (tmp_path / "out" / "records.jsonl").touch()
+    run_module._claim(tmp_path / "out", RunSpec.read(spec))
+    spec.write_text(SPEC, encoding="utf-8")
     with pytest.raises(SpecError, match="another specification"):
         run_module._claim(tmp_path / "out", RunSpec.read(spec))

@@ -10,34 +10,34 @@ from functools import partial
 
 import moderngl
 
-from prt_bench.assets import RuntimeAsset
 from prt_bench.lights import Lighting
 from prt_bench.records import Stage, Timing
 from prt_bench.runtime.context import check
+from prt_bench.runtime.indirect import LoadedAsset
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.timing import interleaved
 
 
 def time_assets(
-    runtime: Runtime, assets: Mapping[str, RuntimeAsset], lighting: Lighting, rounds: int = 7, warmup: int = 2
+    loaded: Mapping[str, LoadedAsset], lighting: Lighting, rounds: int = 7, warmup: int = 2
 ) -> dict[str, tuple[Timing, ...]]:
-    """Timings of each asset under one lighting: by wall clock, and on a GPU by timer queries too.
+    """Timings of assets of one runtime under one lighting: by wall clock, and on a GPU by timer queries too.
 
     Stages: shadow (all shadow maps), measure, transfer, draw (shading, sky, tone map) and frame, which is all of these
     as a user would see them, without reading back; `baseline` is the frame without indirect light. Uploading the
     lighting is not counted. Rounds are interleaved over passes and assets. Raises `SpecError` for less than one round.
     """
+    (runtime,) = {asset.runtime for asset in loaded.values()}
     lights = runtime.light(lighting)
     works: dict[tuple[str, str], Callable[[], None]] = {
         ("", "shadow"): partial(runtime.shadows.run, lights),
         ("", "measure"): partial(runtime.measurement.run, lights),
         ("", "baseline"): partial(runtime.draw, lights),
     }
-    for label, asset in assets.items():
-        loaded = runtime.load(asset)
-        works[label, "transfer"] = loaded.transfer_pass.run
-        works[label, "draw"] = partial(runtime.shade, lights, loaded)
-        works[label, "frame"] = partial(runtime.draw, lights, loaded)
+    for label, asset in loaded.items():
+        works[label, "transfer"] = asset.transfer_pass.run
+        works[label, "draw"] = partial(runtime.shade, lights, asset)
+        works[label, "frame"] = partial(runtime.draw, lights, asset)
 
     runtime.draw(lights)  # every stage starts from shadow maps of these lights
     clocks = {"wall": _wall} if runtime.software else {"wall": _wall, "timer-query": _timer_query}
@@ -45,7 +45,7 @@ def time_assets(
         name: interleaved(works, partial(clock, runtime.context), rounds, warmup) for name, clock in clocks.items()
     }
     check(runtime.context, "timing")
-    return {label: tuple(_timing(runtime, name, stages[name], label) for name in clocks) for label in assets}
+    return {label: tuple(_timing(runtime, name, stages[name], label) for name in clocks) for label in loaded}
 
 
 def _timing(runtime: Runtime, clock: str, stages: Mapping[tuple[str, str], Stage], label: str) -> Timing:

@@ -82,7 +82,7 @@ def test_timings_name_their_stages(runtime, cornell, export, tmp_path):
         "linear": write_asset(linear_model(cornell, 4), tmp_path / "linear"),
         "nearest": write_asset(nearest_model(cornell, 8), tmp_path / "nearest"),
     }
-    found = time_assets(runtime, assets, LAMP, rounds=2, warmup=1)
+    found = time_assets({name: runtime.load(asset) for name, asset in assets.items()}, LAMP, rounds=2, warmup=1)
     assert list(found) == ["linear", "nearest"]
     for timings in found.values():
         assert [timing.clock for timing in timings] == (["wall"] if runtime.software else ["wall", "timer-query"])
