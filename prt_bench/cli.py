@@ -1,6 +1,7 @@
 """The `prt-bench` command. Every mistake a user can mend ends in one sentence on standard error and exit status 2."""
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -13,6 +14,14 @@ from rich.console import Console
 import prt_bench as prt
 from prt_bench.errors import PrtBenchError, RuntimeUnavailable, SpecError
 
+_REMEDIES = {
+    errno.ENOSPC: "free some space and run the same command again",
+    errno.EACCES: "choose a place that you may write to",
+    errno.EPERM: "choose a place that you may write to",
+    errno.EROFS: "choose a place that can be written to",
+    errno.EEXIST: "choose another place, or move what is there",
+    errno.ENOTDIR: "choose a place inside a folder",
+}
 _out = Console(width=None if sys.stdout.isatty() else 140)
 
 
@@ -20,15 +29,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     args = _parser().parse_args(arguments)
     try:
-        args.run(args)
+        return args.run(args) or 0
     except PrtBenchError as error:
         print(f"prt-bench: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        if error.errno not in _REMEDIES:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"prt-bench: {where}{error.strerror}; {_REMEDIES[error.errno]}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("prt-bench: interrupted; run the same command again to go on from here", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
@@ -97,8 +112,11 @@ def _time(args: argparse.Namespace) -> None:
 
 def _view(args: argparse.Namespace) -> None:
     from prt_bench.runtime.runtime import Runtime
-    from prt_bench.runtime.viewer import view
 
+    try:
+        from prt_bench.runtime.viewer import view
+    except ImportError as error:
+        raise RuntimeUnavailable(f"the viewer needs Tk ({error}); on Debian: apt-get install python3-tk") from error
     ds = prt.LightingDataset.open(args.dataset)
     runtime = Runtime(ds)
     view(runtime, ds.split("test").lightings, runtime.load(prt.load_asset(args.asset)), ds.scene.camera)
@@ -153,6 +171,19 @@ def _check_method(args: argparse.Namespace) -> None:
         print(f"{'ok    ' if result.passed else 'FAILED'} {result.name}  {result.detail}")
     if failed:
         raise SpecError(f"method '{args.name}' fails {failed} checks of the contract")
+
+
+def _stability(args: argparse.Namespace) -> int:
+    """Exit status 1 when a goal is missed."""
+    from prt_bench.stability import board, table
+
+    chosen = board.selected(args.case)
+    cells = board.run(chosen, args.route)
+    found = board.goals(cells)
+    table.show(_out, cells, (), found)
+    if args.out:
+        _out.print(f"scoreboard: {board.write(args.out, cells)}", highlight=False, soft_wrap=True)
+    return int(not all(goal.met for goal in found))
 
 
 def _doctor(_: argparse.Namespace) -> None:
@@ -247,6 +278,12 @@ def _parser() -> argparse.ArgumentParser:
     made = command("check-method", _check_method, "run the contract tests on a method")
     made.add_argument("name", metavar="NAME")
     made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method")
+    made = command("stability", _stability, "hard cases for every method and dtype route, as a scoreboard with goals")
+    made.add_argument(
+        "--case", action="append", default=[], metavar="KEY", help="only this case of the catalogue, as A2"
+    )
+    made.add_argument("--route", action="append", default=[], choices=("f64", "f32", "f32 from f16", "f32 from bf16"))
+    made.add_argument("--out", type=Path, help="a run's folder, whose report then shows the scoreboard, or a JSON file")
     command("doctor", _doctor, "what this machine offers, and what is missing for what")
     return parser
 

@@ -52,6 +52,7 @@ def report() -> list[Finding]:
         _package("OpenEXR", "OpenEXR", "environment maps and EXR frames"),
         _package("flip-evaluator", "flip_evaluator", "the FLIP of rendered frames"),
         *_opengl(),
+        Finding("Tk", _tk(), "the window of prt-bench view", "apt-get install python3-tk"),
         _package("DracoPy", "DracoPy", "Draco-compressed glTF", "python -m pip install 'prt-bench[draco]'"),
         _package("mitsuba", "mitsuba", "the tests that compare with mitsuba", "python -m pip install 'prt-bench[dev]'"),
         Finding("LLVM", _llvm(), "mitsuba's llvm_ad_rgb, in the tests", "apt-get install libllvm19"),
@@ -104,6 +105,13 @@ def _jax() -> str:
 
     devices = ", ".join(device.device_kind for device in jax.devices())
     return f"{jax.__version__} on {devices}; 64-bit floats {'on' if jax.config.jax_enable_x64 else 'off'}"  # pyright: ignore
+
+
+def _tk() -> str | None:
+    try:
+        return str(import_module("tkinter").TkVersion)
+    except ImportError:
+        return None
 
 
 def _memory() -> str:

@@ -52,6 +52,13 @@ def test_a_package_that_cannot_be_imported_is_missing(part: str, module: str, mo
     assert "pip install" in row.remedy
 
 
+def test_no_tk_is_a_row_with_the_package_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "tkinter", None)
+    row = finding("Tk")
+    assert row.found is None
+    assert row.remedy == "apt-get install python3-tk"
+
+
 def test_no_opengl_is_a_row_with_the_packages_to_install(no_gl: None):
     row = finding("OpenGL")
     assert row.found is None

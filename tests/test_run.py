@@ -1,5 +1,7 @@
 """The main job and the command line: what a run leaves, what it takes up again, and what it refuses."""
 
+import errno
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -215,3 +217,31 @@ def test_another_specification_does_not_take_up_a_run(spec: Path, tmp_path: Path
     spec.write_text(SPEC, encoding="utf-8")
     with pytest.raises(SpecError, match="another specification"):
         run_module._claim(tmp_path / "out", RunSpec.read(spec))
+
+
+@pytest.mark.parametrize("reason", [errno.ENOSPC, errno.EACCES, errno.EROFS])
+def test_a_place_that_takes_no_data_is_one_sentence(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reason: int
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(reason, os.strerror(reason), str(tmp_path / "out"))
+
+    monkeypatch.setattr(run_module, "_claim", refuse)
+    assert main(["run", str(spec), "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"prt-bench: {tmp_path / 'out'}: {os.strerror(reason)}; ")
+    assert message.count("\n") == 1
+
+
+def test_a_folder_below_a_file_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert (
+        main(["bake", "two-plates", "--texels", "16", "--lightings", "1", "--out", str(tmp_path / "file" / "x")]) == 2
+    )
+    assert "choose a place inside a folder" in capsys.readouterr().err
+
+
+def test_a_slip_of_our_own_keeps_its_traceback(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_module, "_claim", lambda *_: Path("/no/such/file").read_text())
+    with pytest.raises(FileNotFoundError):
+        main(["run", str(spec)])
