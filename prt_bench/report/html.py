@@ -46,7 +46,12 @@ def write_report(run_dir: Path) -> Path:
         loader=jinja2.PackageLoader("prt_bench.report"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"figure": figure, "columns": COLUMNS, "static": lambda name: _static(environment, name)}
+    environment.globals |= {
+        "figure": figure,
+        "columns": COLUMNS,
+        "reasons": _reasons,
+        "static": lambda name: _static(environment, name),
+    }
     page = environment.get_template("report.html.j2").render(
         board=board,
         data=page_data(board, shown),
@@ -59,6 +64,16 @@ def write_report(run_dir: Path) -> Path:
         plotly=Markup(get_plotlyjs()),
     )
     return write_text(run_dir / "report.html", page)
+
+
+def _reasons(group: Group) -> list[tuple[str, str, list[str]]]:
+    """Why rows are not ok: each status and reason once, with the labels it is of. They would make a column too wide."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for entry in group.entries:
+        record = entry.row.record
+        if record.reason:
+            found.setdefault((record.status, record.reason.removesuffix(".")), []).append(record.label)
+    return [(status, reason, labels) for (status, reason), labels in found.items()]
 
 
 def _static(environment: jinja2.Environment, name: str) -> Markup:

@@ -88,7 +88,14 @@ def test_every_row_is_in_the_table_and_the_data(run_dir, page):
     data = Page(page).data
     assert sum(len(group["rows"]) for group in data["groups"]) == len(records)
     assert page.count('class="ranked"') + page.count('class="shown"') == len(records)
-    assert "the fit took over 60 s" in page
+
+
+def test_reasons_stand_below_their_table_once_for_all_rows_that_share_them(page):
+    groups = len(Page(page).data["groups"])
+    assert page.count("<b>timeout</b> (mlp-large): the fit took over 60 s.") == groups
+    assert page.count("the fit took over 60 s.") == groups
+    assert page.count('">timeout</td>') == groups
+    assert page.count("<b>oracle</b> (projection): needs the reference at run time.") == groups
 
 
 def test_frontiers_name_undominated_ranked_rows(page):
