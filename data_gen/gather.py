@@ -10,16 +10,18 @@ from jaxtyping import Bool, Int
 
 from data_gen.hemisphere import HemisphereSampler
 from data_gen.resolve import HitResolver
-from data_gen.tracer import RAYS_PER_CALL, Tracer
+from data_gen.tracer import Tracer
 from prt_bench.points import SurfacePoints
 
+_RAYS_PER_STEP = 1 << 17
+"""Enough to amortise a few hundred microseconds of dispatch."""
 _PROBES = 16
 """Rays that tell whether a point is buried."""
 
 
 def buried(tracer: Tracer, points: SurfacePoints, seed: int) -> Bool[np.ndarray, " P"]:
     """Whether points lie inside another body: most rays from them meet the back of a surface."""
-    directions, _ = HemisphereSampler.create(_PROBES, seed).directions(0, points.normal)
+    directions = HemisphereSampler.create(_PROBES, seed).directions(0, points.normal)
     origins = np.repeat(points.position + tracer.offset * points.normal, _PROBES, axis=0)
     hits = tracer.intersect(origins, directions.reshape(-1, 3))
     back = np.isfinite(hits.distance) & ~hits.front
@@ -34,16 +36,16 @@ def trace_hits(
     A ray that carries nothing holds the number of samples.
     """
     rays = sampler.local.shape[1]
-    step = max(RAYS_PER_CALL // rays, 1)
+    step = max(_RAYS_PER_STEP // rays, 1)
     origins = (points.position + tracer.offset * points.normal).astype(np.float32)
+    turns = sampler.turns(first, points.normal)
     table = np.empty((len(points), rays), np.int32)
 
     def trace(start: int) -> None:
         rows = slice(start, min(start + step, len(points)))
-        directions, jitter = sampler.directions(first + start, points.normal[rows])
-        directions = directions.reshape(-1, 3)
-        found = tracer.trace(np.tile(origins[rows], (1, rays)).reshape(-1, 3), directions)
-        table[rows] = resolver(found, directions, jitter.reshape(-1, 2)).reshape(-1, rays)
+        origin, directions = sampler.rays(origins[rows], turns[rows])
+        found = tracer.trace(np.asarray(origin), np.asarray(directions))
+        table[rows] = resolver(found, directions, sampler.jitter, turns.chosen[rows]).reshape(-1, rays)
 
     with tracer.pool() as executor:
         list(executor.map(trace, range(0, len(points), step)))

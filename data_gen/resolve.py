@@ -15,6 +15,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from data_gen.atlas import PADDING
+from data_gen.hemisphere import ONE_THREAD
 from prt_bench.points import Lightmap, SurfacePoints
 
 _NO_CHART = -2.0
@@ -61,43 +62,42 @@ class HitResolver:
         uv = lightmap.corner_uv * side
         columns = np.column_stack([uv[:, 0] + 1.0, uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0], lightmap.chart])
         chart = home.astype(np.float32)[sample]
-        with jax.default_device(jax.devices("cpu")[0]):
-            face = tuple(jnp.asarray(column, jnp.float32) for column in columns.T)
-            return cls(len(points), side + 2, face, jnp.asarray(sample.ravel()), jnp.asarray(chart.ravel()))
+        on_cpu = partial(jax.device_put, device=jax.devices("cpu")[0])
+        face = tuple(on_cpu(column) for column in columns.T.astype(np.float32))
+        return cls(len(points), side + 2, face, on_cpu(sample.ravel()), on_cpu(chart.ravel()))
 
     def __call__(
         self,
         found: dict[str, np.ndarray],
-        directions: Float[np.ndarray, "n 3"],
-        jitter: Float[np.ndarray, "n 2"],
-    ) -> Int[np.ndarray, " n"]:
+        directions: Float[Array, "P*R 3"],
+        jitter: tuple[Float[Array, "sets R"], Float[Array, "sets R"]],
+        chosen: Int[np.ndarray, " P"],
+    ) -> Int[np.ndarray, " P*R"]:
         """Sample index of each of embree's answers `found`; `samples` for a ray that carries nothing: it escaped, met the
         back of a one-sided surface, or a face without texels.
 
-        `jitter`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart: the texel
-        that was hit is always one of the chart's own.
+        `jitter[chosen]`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart:
+        the texel that was hit is always one of the chart's own.
         """
-        hits = (found["primID"], found["u"], found["v"], found["Ng"], directions, jitter)
-        with jax.default_device(jax.devices("cpu")[0]):
-            return np.asarray(
-                _resolve(*hits, self.face, self.sample, self.chart, width=self.width, nothing=self.samples)
-            )
+        hits = (found["primID"], found["u"], found["v"], found["Ng"], directions, jitter, chosen)
+        return np.asarray(_resolve(*hits, self.face, self.sample, self.chart, width=self.width, nothing=self.samples))
 
 
-@partial(jax.jit, static_argnames=("width", "nothing"))
+@partial(jax.jit, static_argnames=("width", "nothing"), compiler_options=ONE_THREAD)
 def _resolve(
-    face: Any, u: Any, v: Any, normal: Any, direction: Any, jitter: Any,
+    face: Any, u: Any, v: Any, normal: Any, direction: Array, jitter: tuple[Array, Array], chosen: Any,
     faces: tuple[Array, ...], sample: Array, chart: Array, *, width: int, nothing: int,
 ) -> Array:  # fmt: skip
     facing = normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1] + normal[:, 2] * direction[:, 2]
     s0, t0, s1, t1, s2, t2, home = (column.at[face].get(mode="clip") for column in faces)
     s = s0 + u * s1 + v * s2
     t = t0 + u * t1 + v * t2
+    s_jitter, t_jitter = (offsets.at[chosen].get(mode="clip").ravel() for offsets in jitter)
 
     def texel(s: Array, t: Array) -> Array:
         return t.astype(jnp.int32) * width + s.astype(jnp.int32)
 
-    place = texel(s + jitter[:, 0], t + jitter[:, 1])
+    place = texel(s + s_jitter, t + t_jitter)
     place = jnp.where(chart.at[place].get(mode="clip") == home, place, texel(s, t))
     carries = (face >= 0) & (facing < 0) & (home >= 0)
     return jnp.where(carries, sample.at[place].get(mode="clip"), nothing)

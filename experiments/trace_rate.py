@@ -71,7 +71,7 @@ def main() -> None:
     # Texels in the order of the lightmap, as a bake traces them, spread over all of it.
     step = max(len(everywhere) * settings.rays // MOST_RAYS, 1)
     points = everywhere[::step]
-    directions = sampler.directions(0, points.normal)[0].reshape(-1, 3)
+    directions = sampler.directions(0, points.normal).reshape(-1, 3)
     origins = np.repeat((points.position + tracer.offset * points.normal).astype(np.float32), settings.rays, axis=0)
     bare = bare_embreex(scene, origins, directions, settings.workers)
 
