@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from data_gen.assets import environment_maps
 from data_gen.sampling import random_points
 from data_gen.tracer import Tracer
-from prt_bench.environment import EnvironmentMap, texel_directions
+from prt_bench.environment import LUMINANCE, EnvironmentMap, texel_directions
 from prt_bench.errors import LightError, SpecError
 from prt_bench.lights import (
     DirectionalLight,
@@ -40,7 +40,6 @@ _LIT_SHARE = 0.02  # of the surface that a distant light must reach
 _WAVE, _WAVES = 128, 64  # Sobol points drawn at a time, and how often before giving up
 _DIMENSIONS = 12  # of the Sobol sequence: 0-2 place, 3-5 aim, 6-7 shape, 8 level, 9-11 colour
 _PROBES = 256  # surface points that tell what a light reaches
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def sample_lightings(
@@ -251,7 +250,7 @@ def _normalised_maps(grey: bool) -> tuple[EnvironmentMap, ...]:
     for name, path in environment_maps().items():
         radiance = EnvironmentMap.read(path).radiance
         if grey:
-            radiance = np.repeat((radiance @ _LUMINANCE)[..., None], 3, axis=-1)
+            radiance = np.repeat((radiance @ LUMINANCE)[..., None], 3, axis=-1)
         _, solid_angle = texel_directions(*radiance.shape[:2])
         mean = float(np.sum(radiance.mean(axis=-1) * solid_angle) / (4.0 * np.pi))
         maps.append(EnvironmentMap(name + "-grey" * grey, (radiance / (np.pi * mean)).astype(np.float32)))

@@ -22,7 +22,8 @@ from prt_bench.models import LinearModel, Model, NearestModel
 FORMAT = "prt-bench runtime asset"
 VERSION = 1
 _MODELS: tuple[type[Model], ...] = (LinearModel, NearestModel)
-_DTYPES = ("float32", "float16")
+DTYPES = ("float32", "float16")
+"""What a basis can be stored in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +63,8 @@ def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsse
     The basis is stored in `dtype`; what transfers coefficients stays float32. Raises `AssetError` for weights that are not
     finite or overflow `dtype`.
     """
-    if dtype not in _DTYPES:
-        raise AssetError(f"assets store {' or '.join(_DTYPES)}, not '{dtype}'")
+    if dtype not in DTYPES:
+        raise AssetError(f"assets store {' or '.join(DTYPES)}, not '{dtype}'")
     if not model.kernels:
         raise AssetError(
             f"{type(model).__name__} is an oracle: it needs the answer to predict it, so it has no runtime asset"

@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 
 import prt_bench as prt
+from prt_bench.assets import DTYPES
 from prt_bench.errors import PrtBenchError, RuntimeUnavailable, SpecError
 
 _REMEDIES = {
@@ -238,7 +239,7 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("dataset", type=Path)
     made.add_argument("method")
     made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method")
-    made.add_argument("--storage", default="float32", choices=("float32", "float16"))
+    made.add_argument("--storage", default="float32", choices=DTYPES)
     made.add_argument("--out", type=Path, required=True, help="folder of the asset")
 
     made = command("evaluate", _evaluate, "errors of an asset on held-out lightings")

@@ -11,6 +11,8 @@ from jaxtyping import Float
 
 from prt_bench.errors import LightError
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear RGB in luminance (Rec. 709)."""
 RINGING = 1e-5
 """Share of a map's energy below which negative radiance counts as ringing of its compression."""
 
@@ -95,7 +97,7 @@ def median_cut(environment: EnvironmentMap, count: int) -> tuple[Float[np.ndarra
     """
     direction, solid_angle = texel_directions(*environment.radiance.shape[:2])
     energy = environment.radiance.astype(float) * solid_angle[..., None]
-    luminance = energy @ np.array([0.2126, 0.7152, 0.0722])
+    luminance = energy @ LUMINANCE
     regions = [(0, luminance.shape[0], 0, luminance.shape[1])]
     while len(regions) < count:
         regions = [half for region in regions for half in _halves(luminance, region)]

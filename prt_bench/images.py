@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+from prt_bench.environment import LUMINANCE
 
 
 def tone_map(radiance: Float[np.ndarray, "H W 3"], exposure: float = 0.0) -> UInt8[np.ndarray, "H W 3"]:
@@ -20,7 +20,7 @@ def tone_map(radiance: Float[np.ndarray, "H W 3"], exposure: float = 0.0) -> UIn
 
 def exposure_for(radiance: Float[np.ndarray, "H W 3"], quantile: float = 0.98) -> float:
     """The exposure in stops that brings a quantile of the lit pixels' luminance to white; 0 for a black frame."""
-    luminance = np.asarray(radiance, np.float64) @ _LUMINANCE
+    luminance = np.asarray(radiance, np.float64) @ LUMINANCE
     lit = luminance[luminance > 0]
     return float(-np.log2(np.quantile(lit, quantile))) if lit.size else 0.0
 

@@ -27,4 +27,4 @@ def track(work: Sequence[T], description: str) -> Iterator[T]:
 
 def say(message: str) -> None:
     """One line of what is going on."""
-    console.print(message, highlight=False)
+    console.print(message, highlight=False, markup=False)

@@ -24,14 +24,14 @@ SCHEMA = 1
 class Errors:
     """Error figures on one split of held-out lightings. None where a figure was not measured.
 
-    All relative figures are root mean squares over lightings of ‖error‖ / ‖reference‖, so every lighting weighs the same;
-    relative_rmse² = projection² + coefficient² for an orthonormal basis. Black lightings are left out of relative figures.
+    Relative figures, but for `runtime`, are root mean squares over lightings of ‖error‖ / ‖reference‖, so every lighting
+    weighs the same; relative_rmse² = projection² + coefficient² for an orthonormal basis. Black lightings are left out.
 
     rmse [W/m²], relative_rmse, psnr [dB] (peak: largest reference value of each lighting), negative_share (of predicted
     values), energy_bias (relative error of the mean irradiance, signed), noise_floor (split halves of the rays), projection
     (best the basis can do), coefficient (what transfer adds to it), storage (asset against the float64 model), runtime (GL
-    against JAX, same measured vector), measurement (GL shadow-mapped direct light against ray-traced), flip and ssim (of
-    rendered frames against frames lit by the reference lightmap).
+    against JAX, same measured vector, the worst of a few lightings), measurement (GL shadow-mapped direct light against
+    ray-traced), flip and ssim (of a frame under the first lighting against the frame lit by the reference lightmap).
     """
 
     rmse: float | None = None

@@ -9,6 +9,7 @@ import itertools
 import json
 import signal
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -23,7 +24,7 @@ from data_gen.scenes import load_scene
 from prt_bench import records
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
-from prt_bench.errors import AssetError, RuntimeUnavailable, SpecError
+from prt_bench.errors import AssetError, PrtBenchError, RuntimeUnavailable, SpecError
 from prt_bench.evaluate import describe, evaluate
 from prt_bench.frames import FrameComparison, time_assets
 from prt_bench.methods import method
@@ -119,6 +120,7 @@ def _fit(ds: LightingDataset, row: MethodSpec, chosen: Method, spec: RunSpec, fo
     except OSError:  # a full disk, say: no fault of the method
         raise
     except Exception as error:  # a plug-in may fail in any way; the other rows are worth having
+        say(f"{label} failed:\n{error if isinstance(error, PrtBenchError) else traceback.format_exc()}")
         fitted.status, fitted.reason = "failed", f"{type(error).__name__}: {error}"
     fitted.seconds = fitted.seconds or time.perf_counter() - started
     return fitted

@@ -91,8 +91,8 @@ class Scene:
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """Lowest and highest corner of the bounding box, in metres."""
-        return np.stack([self.mesh.vertices.min(0), self.mesh.vertices.max(0)])
+        """Lowest and highest corner of the faces' bounding box, in metres; vertices without a face do not count."""
+        return np.stack([self.mesh.triangles.min((0, 1)), self.mesh.triangles.max((0, 1))])
 
     @property
     def extent(self) -> float:

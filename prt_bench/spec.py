@@ -11,10 +11,10 @@ from typing import Any, Self, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from prt_bench.assets import DTYPES
 from prt_bench.errors import SpecError
 
 T = TypeVar("T")
-STORAGE = ("float32", "float16")
 
 
 @dataclass(frozen=True)
@@ -157,9 +157,9 @@ def _expand(row: Mapping[str, Any], path: Path) -> list[MethodSpec]:
     for combination in itertools.product(*choices):
         chosen = dict(zip(names, combination, strict=True))
         storage = chosen.pop("storage", "float32")
-        if storage not in STORAGE:
+        if storage not in DTYPES:
             raise SpecError(
-                f"{path}: method '{row['name']}' asks for storage '{storage}'{nearest(storage, list(STORAGE))}"
+                f"{path}: method '{row['name']}' asks for storage '{storage}'{nearest(storage, list(DTYPES))}"
             )
         specs.append(MethodSpec(row["name"], chosen, storage))
     return specs

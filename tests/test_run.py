@@ -117,7 +117,13 @@ class Broken(Method):
     ],
 )
 def test_a_failing_method_is_a_row_with_its_reason(
-    how: str, status: str, reason: str, spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    how: str,
+    status: str,
+    reason: str,
+    spec: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     found = run_module.method
     if how == "dawdles":
@@ -130,6 +136,7 @@ def test_a_failing_method_is_a_row_with_its_reason(
     assert {row.status for row in failed} == {status}
     assert reason in (failed[0].reason or "")
     assert {row.method for row in rows} >= {"reference"}
+    assert ("Traceback" in capsys.readouterr().err) == (how == "trips"), "a slip is shown where it happened"
 
 
 @pytest.mark.gl

@@ -94,3 +94,10 @@ def test_texture_coordinates_follow_the_corners_of_the_second_side():
     uv = SQUARE.vertices[SQUARE.faces][..., :2]
     mesh = with_both_sides(assemble([Part(SQUARE.vertices, SQUARE.faces, 0, uv)]), [Material(two_sided=True)])
     assert np.allclose(mesh.uv, mesh.triangles[..., :2])
+
+
+def test_stray_vertices_do_not_widen_the_scene():
+    mesh = mesh_of([(0, 0, 0), (1, 0, 0), (0, 2, 0), (50, 50, 50)], [(0, 1, 2)])
+    scene = Scene("stray", mesh, (Material(),), Camera((0, 0, 1), (0, 0, 0)))
+    assert scene.bounds.tolist() == [[0, 0, 0], [1, 2, 0]]
+    assert scene.extent == pytest.approx(5**0.5)
