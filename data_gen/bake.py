@@ -8,7 +8,7 @@ same bits.
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil
 from pathlib import Path
 
@@ -18,12 +18,12 @@ import zarr
 from data_gen.journal import content_key, create_array, data_folder, resumable
 from data_gen.light import LightPass
 from data_gen.plan import plan
-from data_gen.sampling import measurement_points
+from data_gen.sampling import measurement_points, on_pose
 from data_gen.scenarios import check_lightings, sample_lightings
 from data_gen.trace import CHUNK, trace, transport_key
 from data_gen.tracer import Tracer
 from prt_bench.dataset import LightingDataset
-from prt_bench.errors import SpecError
+from prt_bench.errors import SceneError, SpecError
 from prt_bench.lights import EnvironmentLight, Lighting, emitters
 from prt_bench.progress import say, track
 from prt_bench.scene import Scene
@@ -47,6 +47,7 @@ def bake(
     ood: Sequence[str] = (),
     tolerance: float = 1e-4,
     gather_texels: int | None = None,
+    layout: LightingDataset | None = None,
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -55,6 +56,9 @@ def bake(
     point; `measurements` points, each the mean of `supersampling` samples. `out` is the folder for both stores (default:
     `data_folder()`). Equal arguments give equal hashes for any number of `workers`, and an existing dataset is opened
     instead of baked.
+
+    `layout` is a dataset of another pose of the same mesh: texels and measurement points keep its places on the surface, so
+    that one model can serve both (`bake_animation` does this for a sequence of poses).
 
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
@@ -75,11 +79,15 @@ def bake(
         ood,
         workers,
     )
+    if layout is not None:
+        _check_layout(scene, layout, {"texels": texels, "measurements": measurements, "supersampling": supersampling})
+    atlas = None if layout is None else layout.transport
     folder = Path(out) if out is not None else data_folder()
     about = {
         "version": _VERSION,
         "format": FORMAT,
-        "transport": transport_key(scene, settings, seed),
+        "transport": transport_key(scene, settings, seed, atlas),
+        **({} if layout is None else {"layout": layout.hash}),
         "camera": vars(scene.camera),
         "scenario": scenario,
         "lightings": lightings,
@@ -92,14 +100,17 @@ def bake(
     path = folder / f"dataset-{scene.name}-{scenario}-{content_key(about)}.zarr"
     tracer = Tracer(scene, workers)
     if path.is_dir():
-        trace(scene, settings, seed, folder, tracer)  # there already, unless someone took it away
+        trace(scene, settings, seed, folder, tracer, atlas)  # there already, unless someone took it away
         return LightingDataset.open(path)
 
     # What may be refused comes before the rays.
     lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
-    points = measurement_points(scene, measurements, supersampling, seed, tracer)
+    if layout is None:
+        points = measurement_points(scene, measurements, supersampling, seed, tracer)
+    else:
+        points = (on_pose(scene, layout.measurement_points), on_pose(scene, layout.dense_points), layout.groups)
     tracing = time.perf_counter()
-    transport = trace(scene, settings, seed, folder, tracer)
+    transport = trace(scene, settings, seed, folder, tracer, atlas)
     traced = time.perf_counter() - tracing
     light = LightPass(transport, tracer, emitters(lights), settings)
     columns = len(lights) * light.channels
@@ -197,6 +208,18 @@ def _draw(
         splits[split] = (len(lights), len(lights) + number)
         lights += sample_lightings(scene, kind, number, [seed, int(split != "train")], tracer)
     return tuple(lights), splits
+
+
+def _check_layout(scene: Scene, layout: LightingDataset, settings: Mapping[str, int]) -> None:
+    """Raise `SceneError` or `SpecError` unless `layout` is of another pose of this mesh, with these settings."""
+    same = ((mesh.faces, mesh.material) for mesh in (scene.mesh, layout.scene.mesh))
+    if not all(np.array_equal(ours, theirs) for ours, theirs in zip(*same, strict=True)):
+        raise SceneError(
+            f"scene '{scene.name}' is not a pose of the layout's mesh: their faces differ; give every keyframe the same faces"
+        )
+    for name, value in settings.items():
+        if layout.metadata[name] != value:
+            raise SpecError(f"{name} is {value}, but the layout has {layout.metadata[name]}; all keyframes share them")
 
 
 def _create(group: zarr.Group, light: LightPass, training: int, receivers: int) -> dict[str, zarr.Array]:

@@ -98,6 +98,11 @@ def measurement_points(
     return points, dense, _groups(points, dense, supersampling, tracer)
 
 
+def on_pose(scene: Scene, points: SurfacePoints) -> SurfacePoints:
+    """The same places on the surface, face and barycentrics, on another pose of the mesh."""
+    return surface_points(scene, points.face, points.barycentric)
+
+
 def check_measurements(scene: Scene, count: int, supersampling: int) -> None:
     """Raise `SceneError` for more measurement points than the surface can hold, or for none."""
     if count < 1 or supersampling < 1:

@@ -25,10 +25,11 @@ CHUNK = 1 << 14
 _VERSION = 2  # raise when the same inputs would give other hits
 
 
-def transport_key(scene: Scene, settings: Plan, seed: int) -> str:
+def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | None = None) -> str:
     """A short hash of everything that the hit tables depend on."""
     return content_key(
         {
+            **({} if layout is None else {"layout": layout.key}),
             "version": _VERSION,
             "format": FORMAT,
             "scene": scene.hash,
@@ -42,16 +43,22 @@ def transport_key(scene: Scene, settings: Plan, seed: int) -> str:
     )
 
 
-def trace(scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer) -> Transport:
-    """Trace the hit tables of a scene once, or open them when they are there already."""
-    key = transport_key(scene, settings, seed)
+def trace(
+    scene: Scene, settings: Plan, seed: int, folder: Path, tracer: Tracer, layout: Transport | None = None
+) -> Transport:
+    """Trace the hit tables of a scene once, or open them when they are there already.
+
+    `layout` is the transport of another pose of the same mesh: its atlas serves, so that a texel stays on its face.
+    """
+    key = transport_key(scene, settings, seed, layout)
     path = folder / f"transport-{scene.name}-{key}.zarr"
     if path.is_dir():
         return Transport.open(path)
-    lightmap = unwrap(scene, settings.texels, folder)
+    lightmap = unwrap(scene, settings.texels, folder) if layout is None else layout.lightmap
     receivers = lightmap_points(scene, lightmap)
     shared = settings.gather_texels == settings.texels
-    gather_map = lightmap if shared else unwrap(scene, settings.gather_texels, folder)
+    home = scene if layout is None else layout.scene
+    gather_map = lightmap if shared else unwrap(home, settings.gather_texels, folder)
     samples = receivers if shared else lightmap_points(scene, gather_map)
     hidden = buried(tracer, receivers, seed)
     resolver = HitResolver.create(gather_map, samples, hidden if shared else buried(tracer, samples, seed))

@@ -13,7 +13,9 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+from prt_bench.animation import fit_keyframes  # noqa: E402
 from prt_bench.assets import load_asset  # noqa: E402
+from prt_bench.clip import Clip  # noqa: E402
 from prt_bench.dataset import LightingDataset  # noqa: E402
 from prt_bench.evaluate import evaluate  # noqa: E402
 from prt_bench.lights import (  # noqa: E402
@@ -36,10 +38,13 @@ _ON_FIRST_USE = {
     "plan": "data_gen.plan",
     "bake": "data_gen.bake",
     "light": "data_gen.bake",
+    "bake_animation": "data_gen.animation",
+    "keyframe_times": "data_gen.animation",
 }
 
 __all__ = [
     "Camera",
+    "Clip",
     "DirectionalLight",
     "EnvironmentLight",
     "Lighting",
@@ -52,7 +57,10 @@ __all__ = [
     "SphereLight",
     "SpotLight",
     "bake",
+    "bake_animation",
     "evaluate",
+    "fit_keyframes",
+    "keyframe_times",
     "light",
     "load_asset",
     "load_scene",

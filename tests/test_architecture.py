@@ -23,6 +23,7 @@ READ_BY_BAKE = (
     "points",
     "transport",
     "dataset",
+    "clip",
     "store",
     "progress",
     "errors",

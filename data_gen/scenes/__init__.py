@@ -1,12 +1,14 @@
 """The built-in scenes, one file each, found by looking into this folder.
 
-A scene file has a docstring whose first line says what the scene is for, and `build() -> Scene`. Adding a scene is
-adding a file. Scenes in users' own files are read by `data_gen.loader` and `data_gen.scene_file`.
+A scene file has a docstring whose first line says what the scene is for, and `build() -> Scene`; a scene that moves has
+`build(time=0.0)`, with the same faces at all times. Adding a scene is adding a file. Scenes in users' own files are read by
+`data_gen.loader` and `data_gen.scene_file`.
 """
 
 import importlib
 import pkgutil
 from difflib import get_close_matches
+from inspect import signature
 from pathlib import Path
 from types import ModuleType
 
@@ -27,15 +29,21 @@ def summary(name: str) -> str:
     return (_module(name).__doc__ or "").strip().split("\n")[0]
 
 
-def load_scene(source: str | Path) -> Scene:
+def load_scene(source: str | Path, time: float | None = None) -> Scene:
     """A built-in scene by name, or a user's scene by path (.glb .gltf .obj .ply .stl, or a .toml scene file).
 
-    Raises `SceneError` when there is no such scene or the file cannot be used.
+    `time` chooses a pose of a built-in scene that moves. Raises `SceneError` when there is no such scene, the file cannot be
+    used, or a time is given for a scene that does not move.
     """
     if isinstance(source, str) and source in scenes():
-        scene = _module(source).build()
+        build = _module(source).build
+        if time is not None and "time" not in signature(build).parameters:
+            raise SceneError(f"scene '{source}' does not move; leave out time={time:g}")
+        scene = build() if time is None else build(time)
         repair(scene.mesh, f"scene '{source}'")
         return scene
+    if time is not None:
+        raise SceneError(f"{source} is not a built-in scene, and no other can be asked for the time {time:g}")
     path = Path(source)
     if not path.suffix and not path.exists():
         nearest = get_close_matches(str(source), scenes(), 1, 0.0)[0]
