@@ -15,6 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 _Factors = tuple[Array, Array, Array]
 
+_GRAM_NOISE = 16.0
+"""Squared singular values under this many n · eps · σ₁² are rounding of the Gram matrix."""
+
 
 def safe_norm(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
     """Euclidean norm along `axis`, kept as an axis of length 1, with gradient 0 at 0 and no overflow or underflow."""
@@ -84,7 +87,8 @@ def leading_basis(
 
     A singular value counts when it exceeds `floor` (see `rounding_floor`). Eigenvectors V of the small Gram matrix, then a
     Householder QR of matrix · V: the QR restores the orthogonality that the Gram matrix loses for small singular values
-    (to machine precision, for any conditioning), at a third of the time of an SVD of the tall matrix.
+    (to machine precision, for any conditioning), at a third of the time of an SVD of the tall matrix. Where the cut and the
+    floor both lie in the Gram matrix's rounding (never for data that came in float32) V is that of the triangular factor.
 
     Differentiable as a *subspace*: the rule moves each vector only out of the span, so whatever depends on UUᵀ alone (every
     projection, every fitted prediction) has the right derivative, and only gaps across the cut are divided by. Where there
@@ -104,10 +108,21 @@ def _leading(matrix: Array, count: int, floor: Array | float) -> tuple[Array, Ar
     count = min(count, *matrix.shape)
     squares, v = jnp.linalg.eigh(_matmul(matrix.T, matrix))
     squares, v = jnp.maximum(squares[::-1], 0.0), v[:, ::-1]
+    if matrix.shape[0] >= matrix.shape[1]:
+        noise = _GRAM_NOISE * matrix.shape[1] * jnp.finfo(matrix.dtype).eps * squares[0]
+        cut_in_noise = (squares[count - 1] < noise) & (jnp.square(floor) < noise)
+        squares, v = jax.lax.cond(cut_in_noise, _right_factors, lambda _, *found: found, matrix, squares, v)
     q, r = jnp.linalg.qr(_matmul(matrix, v[:, :count]))
     height = jnp.diagonal(r)
     kept = jnp.abs(height) > floor
     return q * jnp.where(kept, jnp.where(height < 0, -1.0, 1.0), 0.0), kept, v, squares
+
+
+def _right_factors(matrix: Array, squares: Array, v: Array) -> tuple[Array, Array]:
+    """σ² and V of a tall matrix from its triangular factor, where nothing is squared; the Gram matrix's if LAPACK fails."""
+    _, s, vt = factors = _divide_and_conquer(jnp.linalg.qr(matrix, mode="r"))
+    sound = _finite(factors)
+    return jnp.where(sound, s * s, squares), jnp.where(sound, vt.T, v)
 
 
 @_leading_basis.defjvp
