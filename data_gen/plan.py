@@ -202,7 +202,7 @@ def _predict(draft: Plan, scene: Scene, scenario: str, lightings: int, dense: in
     lit = receivers + dense + (0 if shared else samples)
     columns = lightings * draft.channels
     gather_rays = traced * draft.rays
-    shadow_rays = 0 if draft.convex else lit * lightings * _LIGHT_SAMPLES.get(scenario, 1)
+    shadow_rays = 0 if draft.convex == "outside" else lit * lightings * _LIGHT_SAMPLES.get(scenario, 1)
     ray_rate, sum_rate = _rates(scene, workers)
     passes = samples * min(draft.bounces, 16) + receivers
     seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + passes * draft.rays * columns / sum_rate

@@ -19,7 +19,7 @@ from prt_bench.errors import DatasetError
 from prt_bench.lights import Lighting, light_from_json
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
-from prt_bench.store import camera_from_json, open_group, read_lightmap, read_points, read_scene
+from prt_bench.store import camera_from_json, member, open_group, read_lightmap, read_points, read_scene
 from prt_bench.transport import GatherOperator
 
 
@@ -50,10 +50,10 @@ class Transport:
             read_scene(group),
             read_lightmap(group, "lightmap"),
             read_points(group, "receivers"),
-            np.asarray(group["buried"][...]),
+            np.asarray(member(group, "buried")[...]),
             read_points(group, "samples"),
-            group["receiver_hits"],
-            group[str(group.attrs["sample_hits"])],
+            member(group, "receiver_hits"),
+            member(group, str(group.attrs["sample_hits"])),
             int(group.attrs["bounces"]),
             str(group.attrs["key"]),
         )
@@ -119,9 +119,9 @@ class LightingDataset:
             replace(transport, scene=scene),
             read_points(group, "measurement_points"),
             read_points(group, "dense_points"),
-            np.asarray(group["groups"][...]),
+            np.asarray(member(group, "groups")[...]),
             lightings,
-            {name: group[name] for name in ("measured", "direct", "indirect", "indirect_half", "noise")},
+            {name: member(group, name) for name in ("measured", "direct", "indirect", "indirect_half", "noise")},
             splits,
             metadata,
             (0, len(lightings)),

@@ -62,6 +62,8 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
     spec = RunSpec.read(spec_path)
     methods = [(row, method(row.name, **row.settings)) for row in spec.methods]
     scenes = [load_scene(source) for source in spec.scenes]
+    _require_distinct("scenes", [scene.name for scene in scenes], "give one another name in a scene file")
+    _require_distinct("methods", [_label(*row) for row in methods], "rows need different settings")
     folder = out or Path("runs") / spec.name
     settings = {key: value for key, value in asdict(spec.bake).items() if key != "scenarios"}
     for scene, scenario in itertools.product(scenes, spec.bake.scenarios):
@@ -80,6 +82,17 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
     write_leaderboard(folder)
     write_report(folder)
     return folder
+
+
+def _require_distinct(kind: str, names: Sequence[str], remedy: str) -> None:
+    """Names are what tells rows, assets and pictures apart."""
+    twice = next((name for index, name in enumerate(names) if name in names[:index]), None)
+    if twice is not None:
+        raise SpecError(f"two {kind} are called '{twice}'; {remedy}")
+
+
+def _label(row: MethodSpec, chosen: Method) -> str:
+    return chosen.label if row.storage == "float32" else f"{chosen.label} {row.storage}"
 
 
 def _claim(folder: Path, spec: RunSpec) -> None:
@@ -102,7 +115,7 @@ def _has_records(folder: Path) -> bool:
 
 def _fit(ds: LightingDataset, row: MethodSpec, chosen: Method, spec: RunSpec, folder: Path) -> Fitted:
     """Fit and export one method; what goes wrong becomes the row's status."""
-    label = chosen.label if row.storage == "float32" else f"{chosen.label} {row.storage}"
+    label = _label(row, chosen)
     fitted = Fitted(row, chosen, label)
     started = time.perf_counter()
     try:

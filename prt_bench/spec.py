@@ -95,6 +95,8 @@ class RunSpec:
         spec = build(cls, {**table, "methods": methods, **nested}, str(path), extra=("methods", *_TABLES))
         if not spec.scenes:
             raise SpecError(f'{path} names no scenes; add scenes = ["cornell"]')
+        if not spec.bake.scenarios:
+            raise SpecError(f'{path} [bake] names no scenarios; add scenarios = ["point"], or leave the key out')
         return spec
 
 

@@ -25,7 +25,8 @@ def open_group(path: Path, kind: str) -> Any:  # a zarr.Group, whose members hav
     except (FileNotFoundError, ValueError, KeyError) as error:
         raise DatasetError(f"{path} is not a {kind} of prt-bench; name a folder that 'prt-bench bake' made") from error
     if group.attrs.get("kind") != kind:
-        raise DatasetError(f"{path} holds {group.attrs.get('kind', 'something else')}, not a {kind}")
+        found = group.attrs.get("kind", "something else")
+        raise DatasetError(f"{path} holds {found}, not a {kind}; name a folder that 'prt-bench bake' made")
     if group.attrs.get("format") != FORMAT:
         raise DatasetError(
             f"{path} has format {group.attrs.get('format')}, but this version reads {FORMAT}; bake it again"
@@ -110,5 +111,12 @@ def write_array(group: zarr.Group, key: str, array: np.ndarray, **attributes: st
     made.attrs.update(attributes)
 
 
+def member(group: Any, path: str) -> Any:
+    """An array or subgroup. Raises `DatasetError` when the store has lost it."""
+    if path not in group:
+        raise DatasetError(f"{group.store.root} has lost its {path}; delete it and bake it again")
+    return group[path]
+
+
 def _array(group: zarr.Group, path: str) -> np.ndarray:
-    return np.asarray(group[path][...])
+    return np.asarray(member(group, path)[...])

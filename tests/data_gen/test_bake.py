@@ -206,6 +206,21 @@ def test_opening_what_is_not_a_dataset(tmp_path: Path) -> None:
         prt.LightingDataset.open(tmp_path / "else")
 
 
+@pytest.mark.parametrize(
+    ("store", "part"),
+    [("dataset", "indirect"), ("dataset", "groups"), ("dataset", "dense_points/normal"), ("transport", "receiver_hits"),
+     ("transport", "scene/faces"), ("transport", "lightmap/texel")],
+)  # fmt: skip
+def test_a_store_that_lost_a_part_is_one_sentence(
+    dataset: prt.LightingDataset, tmp_path: Path, store: str, part: str
+) -> None:
+    shutil.copytree(dataset.path.parent, tmp_path / "copy")
+    damaged = tmp_path / "copy" / (dataset.path.name if store == "dataset" else dataset.metadata["transport"])
+    shutil.rmtree(damaged / part)
+    with pytest.raises(DatasetError, match=f"{damaged} has lost its {part}; delete it and bake it again"):
+        prt.LightingDataset.open(tmp_path / "copy" / dataset.path.name)
+
+
 def test_directions_are_cosine_weighted_and_balanced() -> None:
     normal = np.random.default_rng(0).normal(size=(50, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_gen.bake import trace
 from data_gen.plan import plan
 from data_gen.scenes import furnace, load_scene, two_plates
+from data_gen.trace import trace
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.lights import DirectionalLight, Lighting, PointLight

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_gen.bake import trace
 from data_gen.plan import plan
 from data_gen.reference import indirect_irradiance
 from data_gen.scenes import load_scene
+from data_gen.trace import trace
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.lights import DirectionalLight, Lighting, PointLight
