@@ -8,6 +8,7 @@ area, so that the mean direct irradiance is about `level` W/m², between 0.5 and
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -37,7 +38,8 @@ _CLEARANCE = 0.03  # least distance of a light from any surface, relative to the
 _LEVELS = (0.5, 2.0)
 _SOURCE_RADIUS = 0.003  # of point and spot lights, relative to the extent
 _LIT_SHARE = 0.02  # of the surface that a distant light must reach
-_WAVE, _WAVES = 128, 64  # Sobol points drawn at a time, and how often before giving up
+_WAVE = 128  # Sobol points drawn at a time
+_LEAST_SHARE = 1 / 64  # of candidates that must stand free, or the search is given up
 _DIMENSIONS = 12  # of the Sobol sequence: 0-2 place, 3-5 aim, 6-7 shape, 8 level, 9-11 colour
 _PROBES = 256  # surface points that tell what a light reaches
 
@@ -62,13 +64,14 @@ def sample_lightings(
     entropy = np.random.SeedSequence([SCENARIOS.index(scenario), *np.atleast_1d(seed).tolist()])
     sobol = qmc.Sobol(_DIMENSIONS, rng=np.random.default_rng(entropy))
     lights: list[Light] = []
-    for _ in range(_WAVES):
+    waves = ceil(count / (_WAVE * _LEAST_SHARE))
+    for _ in range(waves):
         lights += _PROPOSALS[scenario](scene, tracer, sobol.random(_WAVE), grey)
         if len(lights) >= count:
             return tuple(Lighting((light,)) for light in lights[:count])
     raise LightError(
         f"scene '{scene.name}' has no place for {count} lightings of scenario '{scenario}':"
-        f" only {len(lights)} of {_WAVE * _WAVES} candidates stand free and reach a surface's front"
+        f" only {len(lights)} of {_WAVE * waves} candidates stand free and reach a surface's front"
     )
 
 
