@@ -119,7 +119,6 @@ def bake(
         arrays = _create(group, light, splits["train"][1], len(transport.receivers))
         chunks = [slice(at, at + CHUNK) for at in range(0, len(transport.receivers), CHUNK)]
         missing = [(i, rows) for i, rows in enumerate(chunks) if i not in journal.done]
-        light.prepare()
         for index, rows in track(missing, f"light {scene.name} ({scenario})"):
             result = light.receive(rows)
             held_out = result.half[splits["train"][1] :]
@@ -171,7 +170,6 @@ def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | Non
         ds.scene, texels=ds.metadata["texels"], rays=ds.metadata["rays"], tolerance=ds.metadata["tolerance"]
     )
     passes = LightPass(ds.transport, tracer, emitters(lights), settings)
-    passes.prepare()
     parts = [passes.receive(slice(at, at + CHUNK)) for at in range(0, len(ds.points), CHUNK)]
     arrays = {
         "measured": passes.measured(ds.dense_points, ds.groups),

@@ -1,6 +1,7 @@
 """Lighting a traced scene: direct light by shadow rays, indirect light by the operator, for all lightings at once."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -28,9 +29,10 @@ class Received:
 
 
 class LightPass:
-    """N lightings on one traced scene. `prepare` bounces light between the gather samples; `receive` then serves any range
-    of receivers. Both halves of the rays bounce light on their own; their mean is the estimate, half their difference the
-    noise."""
+    """N lightings on one traced scene; `receive` serves any range of receivers.
+
+    Both halves of the rays bounce light on their own; their mean is the estimate, half their difference the noise.
+    """
 
     def __init__(self, transport: Transport, tracer: Tracer, emitters: Emitters, settings: Plan) -> None:
         self.transport = transport
@@ -39,18 +41,18 @@ class LightPass:
         self.shadow_rays = settings.needs_shadow_rays(transport.scene, emitters)
         white = bool(np.all(np.ptp(np.asarray(emitters.intensity), axis=-1) == 0))
         self.channels = 1 if settings.channels == 1 and white else 3
-        self._halves: list[Float[Array, "S N C"]] = []
 
     def __len__(self) -> int:
         return self.emitters.position.shape[0]
 
-    def prepare(self) -> None:
-        """Direct light at the gather samples and all bounces but the last."""
+    @cached_property
+    def _halves(self) -> list[Float[Array, "S N C"]]:
+        """Radiosity of the gather samples after all bounces but the last, from each half of the rays."""
         samples = self.transport.samples
         albedo = jnp.asarray(samples.albedo[:, : self.channels], jnp.float32)
         direct = jnp.asarray(self._direct(samples))
         bounces = self.transport.bounces - 1
-        self._halves = [
+        return [
             radiosity(self.transport.sample_gather(half), albedo, direct, bounces).block_until_ready()
             for half in (0, 1)
         ]
