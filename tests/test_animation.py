@@ -35,7 +35,7 @@ def clip(ds) -> Clip:
     [
         PLAIN,
         prt.method("svd-ridge", basis=BASIS, mean=False),
-        prt.method("operator-ridge", basis=BASIS),
+        prt.method("operator-ridge", basis=BASIS, ridge=3e-2, prior=0.5),
     ],
     ids=lambda method: method.label,
 )
