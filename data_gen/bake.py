@@ -20,6 +20,7 @@ from data_gen.light import LightPass
 from data_gen.plan import plan
 from data_gen.sampling import measurement_points, on_pose
 from data_gen.scenarios import check_lightings, sample_lightings
+from data_gen.stream import write_streamed
 from data_gen.trace import CHUNK, trace, transport_key
 from data_gen.tracer import Tracer
 from prt_bench.dataset import LightingDataset
@@ -48,6 +49,7 @@ def bake(
     tolerance: float = 1e-4,
     gather_texels: int | None = None,
     layout: LightingDataset | None = None,
+    streamed: int = 0,
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -59,6 +61,9 @@ def bake(
 
     `layout` is a dataset of another pose of the same mesh: texels and measurement points keep its places on the surface, so
     that one model can serve both (`bake_animation` does this for a sequence of poses).
+
+    `streamed` more lightings of the scenario are kept as direct light alone (`LightingDataset.streamed`), for methods that
+    learn from thousands of lightings through the traced operator.
 
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
@@ -78,6 +83,7 @@ def bake(
         gather_texels,
         ood,
         workers,
+        streamed,
     )
     if layout is not None:
         _check_layout(scene, layout, {"texels": texels, "measurements": measurements, "supersampling": supersampling})
@@ -91,6 +97,7 @@ def bake(
         "camera": vars(scene.camera),
         "scenario": scenario,
         "lightings": lightings,
+        **({"streamed": streamed} if streamed else {}),
         "measurements": measurements,
         "supersampling": supersampling,
         "ood": list(ood),
@@ -105,6 +112,7 @@ def bake(
 
     # What may be refused comes before the rays.
     lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
+    further = sample_lightings(scene, scenario, streamed, [seed, 2], tracer) if streamed else ()
     if layout is None:
         points = measurement_points(scene, measurements, supersampling, seed, tracer)
     else:
@@ -114,7 +122,8 @@ def bake(
     traced = time.perf_counter() - tracing
     light = LightPass(transport, tracer, emitters(lights), settings)
     columns = len(lights) * light.channels
-    with resumable(path, int(1.1 * 4 * len(transport.receivers) * columns * 2.25)) as (partial, journal):
+    needed = 4 * len(transport.receivers) * columns * 2.25 + 4 * streamed * (len(transport.samples) + measurements)
+    with resumable(path, int(1.1 * needed)) as (partial, journal):
         group = zarr.open_group(partial, mode="a")
         arrays = _create(group, light, splits["train"][1], len(transport.receivers))
         chunks = [slice(at, at + CHUNK) for at in range(0, len(transport.receivers), CHUNK)]
@@ -129,6 +138,8 @@ def bake(
         squares = np.sum([journal.done[i]["squares"] for i in range(len(chunks))], axis=0)
         measured = light.measured(*points[1:])
         digests = [journal.done[i]["digest"] for i in range(len(chunks))]
+        if further:
+            digests += write_streamed(group, journal, further, transport, tracer, settings, *points[1:])
         for name, values in (("measured", measured), ("noise", _relative(squares)), ("groups", points[2])):
             write_array(group, name, values)
         write_points(group, "measurement_points", points[0])

@@ -106,6 +106,7 @@ def plan(
     gather_texels: int | None = None,
     ood: tuple[str, ...] = (),
     workers: int | None = None,
+    streamed: int = 0,
 ) -> Plan:
     """Decide what baking `scene` needs.
 
@@ -114,7 +115,7 @@ def plan(
     """
     for name, value, least in (("lightings", lightings, 1), ("texels", texels, 8), ("gather_texels", gather_texels, 8),
                                ("measurements", measurements, 1), ("supersampling", supersampling, 1),
-                               ("workers", workers, 1)):  # fmt: skip
+                               ("workers", workers, 1), ("streamed", streamed, 0)):  # fmt: skip
         if value is not None and value < least:
             raise SpecError(f"{name} is {value}, but a bake needs at least {least}")
     for name in (scenario, *ood):
@@ -154,7 +155,8 @@ def plan(
     )
     draft = Plan(texels, gather, rays, bounces, tolerance, channels, convex, (), decisions, Cost(0, 0, 0, 0, 0.0))
     count = lightings + max(16, ceil(lightings / 4)) + 16 * len(ood)
-    return replace(draft, cost=_predict(draft, scene, scenario, count, measurements * supersampling, workers))
+    dense = measurements * supersampling
+    return replace(draft, cost=_predict(draft, scene, scenario, count, dense, workers, streamed))
 
 
 def _bounces(albedo: float, tolerance: float, convex: str | None) -> tuple[int, str]:
@@ -193,7 +195,9 @@ def _in_front_of_all(scene: Scene, points: Float[np.ndarray, "P 3"]) -> bool:
     return bool(np.all(points @ normals.T >= np.sum(normals * corners, axis=1)))
 
 
-def _predict(draft: Plan, scene: Scene, scenario: str, lightings: int, dense: int, workers: int | None) -> Cost:
+def _predict(
+    draft: Plan, scene: Scene, scenario: str, lightings: int, dense: int, workers: int | None, streamed: int
+) -> Cost:
     """Cost from counts and from rates measured here and now on this scene."""
     receivers = int(_COVERAGE * draft.texels**2)
     samples = int(_COVERAGE * draft.gather_texels**2)
@@ -202,12 +206,13 @@ def _predict(draft: Plan, scene: Scene, scenario: str, lightings: int, dense: in
     lit = receivers + dense + (0 if shared else samples)
     columns = lightings * draft.channels
     gather_rays = traced * draft.rays
-    shadow_rays = 0 if draft.convex == "outside" else lit * lightings * _LIGHT_SAMPLES.get(scenario, 1)
+    lit_points = lit * lightings + (samples + dense) * streamed
+    shadow_rays = 0 if draft.convex == "outside" else lit_points * _LIGHT_SAMPLES.get(scenario, 1)
     ray_rate, sum_rate = _rates(scene, workers)
     passes = samples * min(draft.bounces, 16) + receivers
     seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + passes * draft.rays * columns / sum_rate
     pairs = 4 * receivers * columns
-    disk = 2 * pairs + pairs // 4 + gather_rays * 2
+    disk = 2 * pairs + pairs // 4 + gather_rays * 2 + 4 * samples * streamed
     memory = int(6e8) + 12 * samples * columns * 4 + 6 * min(receivers, 1 << 14) * columns * 4
     return Cost(gather_rays, shadow_rays, disk, memory, seconds)
 

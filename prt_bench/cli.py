@@ -194,7 +194,8 @@ def _doctor(_: argparse.Namespace) -> None:
 
 
 def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
-    names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels")
+    names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels",
+             "streamed")  # fmt: skip
     return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood)}
 
 
@@ -302,6 +303,7 @@ def _bake_options(made: argparse.ArgumentParser) -> None:
         made.add_argument(f"--{name}", type=int, default=default)
     made.add_argument("--tolerance", type=float, default=1e-4)
     made.add_argument("--gather-texels", type=int)
+    made.add_argument("--streamed", type=int, default=0, help="further lightings kept as direct light alone")
     made.add_argument("--ood", action="append", default=[], metavar="SCENARIO", help="another scenario to test on")
 
 

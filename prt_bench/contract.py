@@ -60,9 +60,10 @@ def shapes(method: Method, ds: LightingDataset) -> str:
     y = model.reconstruct(u)
     lightings, receivers, channels = test.indirect.shape
     _require(y.shape == test.indirect.shape, f"reconstruct gives {y.shape}, not {test.indirect.shape}")
-    _require(u.shape[0] == lightings and u.shape[2] == channels, f"transfer gives {u.shape}, not [N, B, C]")
+    sets = u.shape[2] in (1, channels)
+    _require(u.shape[0] == lightings and sets, f"transfer gives {u.shape}, not [N, B, C] or [N, B, 1]")
     _close(model.predict(test), y, 0.0, "predict and reconstruct∘transfer∘measure")
-    return f"[{lightings}, {u.shape[1]}, {channels}] coefficients for {receivers} receivers"
+    return f"[{lightings}, {u.shape[1]}, {u.shape[2]}] coefficients for {receivers} receivers"
 
 
 def transforms(method: Method, ds: LightingDataset) -> str:
@@ -143,7 +144,7 @@ def permutation(method: Method, ds: LightingDataset) -> str:
 def one_channel(method: Method, ds: LightingDataset) -> str:
     """A model fitted on one channel predicts any number, each channel by itself."""
     grey = {**ds.metadata, "channels": 1}
-    arrays = {name: values if values.ndim == 1 else values[..., :1] for name, values in ds.arrays.items()}
+    arrays = {name: values[..., :1] if values.ndim == 3 else values for name, values in ds.arrays.items()}
     single = replace(ds, arrays=arrays, metadata=grey)
     model = method.fit(single.split("train"))
     coloured = model.predict(ds.split("test"))
@@ -175,7 +176,8 @@ def fit_gradient(method: Method, ds: LightingDataset) -> str:
     rng = np.random.default_rng(0)
     weight = jnp.asarray(rng.normal(size=test.indirect.shape))
     fixed = {
-        name: getattr(train, name) for name in ("transport", "measurement_points", "dense_points", "groups", "metadata")
+        name: getattr(train, name)
+        for name in ("transport", "measurement_points", "dense_points", "groups", "metadata", "streamed")
     }
 
     def loss(measured: jax.Array, indirect: jax.Array) -> jax.Array:
@@ -204,6 +206,7 @@ CHECKS: dict[str, Callable[[Method, LightingDataset], str]] = {
 def _lightings(ds: LightingDataset, rows: np.ndarray) -> LightingDataset:
     """Some lightings of a split, in a given order, as a dataset in memory."""
     arrays = {name: getattr(ds, name)[rows] for name in ("measured", "direct", "indirect", "noise")}
+    arrays |= {name: ds.arrays[name] for name in ds.arrays if name.startswith("streamed")}
     lights = tuple(ds.lightings[row] for row in rows)
     everything = (0, len(rows))
     return replace(ds, arrays=arrays, all_lightings=lights, splits={"train": everything}, rows=everything)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
@@ -21,6 +21,9 @@ from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
 from prt_bench.store import camera_from_json, member, open_group, read_lightmap, read_points, read_scene
 from prt_bench.transport import GatherOperator
+
+_ARRAYS = ("measured", "direct", "indirect", "indirect_half", "noise")
+_STREAMED = ("streamed_direct", "streamed_measured")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,16 @@ class Transport:
         return GatherOperator.from_hits(hits, len(self.samples), differentiable)
 
 
+class Streamed(NamedTuple):
+    """Direct light, and nothing else, of n further lightings of the training scenario: grey irradiance in W/m².
+
+    `measured` [n, M] at the measurement points; `direct` [n, S] at the gather samples, on disk until sliced.
+    """
+
+    measured: Float[np.ndarray, "n M"]
+    direct: Float[np.ndarray, "n S"] | zarr.Array
+
+
 @dataclass(frozen=True, eq=False)
 class LightingDataset:
     """N lighting configurations of one scene with their direct and indirect light.
@@ -121,7 +134,7 @@ class LightingDataset:
             read_points(group, "dense_points"),
             np.asarray(member(group, "groups")[...]),
             lightings,
-            {name: member(group, name) for name in ("measured", "direct", "indirect", "indirect_half", "noise")},
+            {name: member(group, name) for name in (*_ARRAYS, *(_STREAMED if "streamed_direct" in group else ()))},
             splits,
             metadata,
             (0, len(lightings)),
@@ -181,6 +194,15 @@ class LightingDataset:
         if first < 0:
             raise DatasetError("half-ray estimates are kept for held-out lightings only; take split('test') first")
         return np.asarray(self.arrays["indirect_half"][first:last])
+
+    @cached_property
+    def streamed(self) -> Streamed:
+        """The streamed lightings, the same for every split. Raises `DatasetError` when it was baked without any."""
+        if "streamed_direct" not in self.arrays:
+            raise DatasetError(
+                f"the dataset of '{self.scene.name}' has no streamed lightings; bake it with streamed = 2048, say"
+            )
+        return Streamed(np.asarray(self.arrays["streamed_measured"][:]), self.arrays["streamed_direct"])
 
     @cached_property
     def noise(self) -> Float[np.ndarray, " N"]:

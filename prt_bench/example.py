@@ -25,7 +25,7 @@ def example_dataset(
     """A white cube room of side 2 m with a red and a green wall, under coloured point lights.
 
     `texels`² receivers on each of the six walls, which are the gather samples too. The splits are "train" with `lightings`
-    lightings, of which the second is black, and "test" with half as many.
+    lightings, of which the second is black, and "test" with half as many. As many again as of both are streamed.
     """
     rng = np.random.default_rng(seed)
     scene = _room()
@@ -52,7 +52,11 @@ def example_dataset(
     halves = [_bounced(transport, direct, half) for half in (0, 1)]
     full = _bounced(transport, direct, None)
     size = np.maximum(np.linalg.norm(full, axis=(1, 2)), np.finfo(np.float32).tiny)
+    positions = np.random.default_rng([seed, 2]).uniform(-0.7, 0.7, (count, 3))
+    further = tuple(Lighting((PointLight(p, np.ones(3)),)) for p in positions)
     arrays = {
+        "streamed_direct": _lit(further, points)[..., 0],
+        "streamed_measured": _lit(further, measured_at)[..., 0],
         "measured": measured,
         "direct": direct,
         "indirect": full,

@@ -30,6 +30,7 @@ class BakeSpec:
     supersampling: int = 8
     tolerance: float = 1e-4
     gather_texels: int | None = None
+    streamed: int = 0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from prt_bench import spec  # by module: a method file of this package is called `nearest` too
 from prt_bench.errors import SpecError
@@ -56,6 +57,8 @@ def method(name: str, **settings: Any) -> Method:
 def _fits(value: Any, wanted: Any) -> bool:
     if get_origin(wanted) is Literal:
         return value in get_args(wanted)
+    if get_origin(wanted) in (Union, UnionType):
+        return any(_fits(value, choice) for choice in get_args(wanted))
     if wanted in (int, float):
         return isinstance(value, (int, wanted)) and not isinstance(value, bool)
     return isinstance(value, wanted)
@@ -64,4 +67,6 @@ def _fits(value: Any, wanted: Any) -> bool:
 def _spell(wanted: Any) -> str:
     if get_origin(wanted) is Literal:
         return " or ".join(repr(choice) for choice in get_args(wanted))
+    if get_origin(wanted) in (Union, UnionType):
+        return " or ".join(_spell(choice) for choice in get_args(wanted))
     return {int: "an integer", float: "a number", bool: "true or false", str: "text"}.get(wanted, str(wanted))

@@ -17,7 +17,7 @@ from prt_bench.linalg import rounding_floor, safe_norm
 from prt_bench.models import Observed
 
 Norm = Literal["indirect", "measured"]
-_VISIBLE = 0.1
+VISIBLE = 0.1
 
 
 class Examples(NamedTuple):
@@ -58,7 +58,7 @@ def normalised(measured: Float[Array, "N M C"], indirect: Float[Array, "N T C"],
     lit = norm > 0
     size = norm
     if by == "indirect":
-        root_mean_squares = (safe_norm(y, axis=0) / len(y) ** 0.5, _VISIBLE * norm / len(x) ** 0.5)
+        root_mean_squares = (safe_norm(y, axis=0) / len(y) ** 0.5, VISIBLE * norm / len(x) ** 0.5)
         size = safe_norm(jnp.concatenate(root_mean_squares), axis=0)
     scale = jnp.where(lit, 1.0 / jnp.where(lit, size, 1.0), 0.0)
     y = y * scale

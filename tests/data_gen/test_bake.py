@@ -13,6 +13,8 @@ from data_gen import bake as bake_module
 from data_gen import journal
 from data_gen import trace as trace_module
 from data_gen.hemisphere import HemisphereSampler, tangent_frames
+from data_gen.scenarios import sample_lightings
+from data_gen.tracer import Tracer
 from prt_bench.errors import DatasetError, LightError, SceneError, SpecError
 
 SMALL = {"scenario": "point", "lightings": 6, "texels": 24, "rays": 32, "measurements": 24, "supersampling": 2}
@@ -219,6 +221,21 @@ def test_a_store_that_lost_a_part_is_one_sentence(
     shutil.rmtree(damaged / part)
     with pytest.raises(DatasetError, match=f"{damaged} has lost its {part}; delete it and bake it again"):
         prt.LightingDataset.open(tmp_path / "copy" / dataset.path.name)
+
+
+def test_streamed_light_is_the_direct_light_of_further_lightings(scene: prt.Scene, tmp_path: Path) -> None:
+    settings = {**SMALL, "rays": 8}
+    ds, again = (prt.bake(scene, **settings, streamed=70, out=tmp_path / str(n), workers=n) for n in (1, 2))
+    assert ds.hash == again.hash
+    assert ds.hash != prt.bake(scene, **settings, out=tmp_path / "1").hash
+    lights = sample_lightings(scene, "point", 70, [0, 2], Tracer(scene))
+    known = prt.light(ds, lights[66:68])
+    white = np.array([lighting.lights[0].intensity for lighting in lights[66:68]])
+    scale = white.mean(axis=1) / white[:, 1]
+    np.testing.assert_allclose(ds.streamed.direct[66:68], known.direct[..., 1] * scale[:, None], rtol=1e-5)
+    np.testing.assert_allclose(ds.streamed.measured[66:68], known.measured[..., 1] * scale[:, None], rtol=1e-5)
+    held_out, further = ({tuple(map(float, item.lights[0].position)) for item in of} for of in (ds.lightings, lights))
+    assert not held_out & further
 
 
 def test_directions_are_cosine_weighted_and_balanced() -> None:

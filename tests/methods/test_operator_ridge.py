@@ -8,10 +8,11 @@ import pytest
 
 import prt_bench as prt
 from prt_bench.example import example_dataset
-from prt_bench.linalg import leading_basis
-from prt_bench.methods import operator_ridge
-from prt_bench.methods.examples import Examples, normalised
-from prt_bench.methods.operator_ridge import Cells, cells, importance, regress_with_cells
+from prt_bench.linalg import leading_basis, relative_damping, ridge
+from prt_bench.methods import operator, operator_ridge
+from prt_bench.methods.examples import normalised
+from prt_bench.methods.operator import fit_albedo, importance, respond
+from prt_bench.methods.prior import mixed, prior_columns
 
 DATASET = example_dataset()
 TRAIN, TEST = DATASET.split("train"), DATASET.split("test")
@@ -19,7 +20,7 @@ TRAIN, TEST = DATASET.split("train"), DATASET.split("test")
 
 def test_importance_is_the_adjoint_of_the_bake(monkeypatch):
     """⟨𝒮ᵀ U, E⟩ = ⟨U, 𝒮 E⟩ for the direct and indirect light that were baked, in every channel and chunk of receivers."""
-    monkeypatch.setattr(operator_ridge, "_RECEIVERS", 50)
+    monkeypatch.setattr(operator, "_RECEIVERS", 50)
     u = np.random.default_rng(0).normal(size=(len(DATASET.points), 5))
     adjoint = importance(DATASET.transport, jnp.asarray(DATASET.transport.samples.albedo, jnp.float32), jnp.asarray(u))
     found = np.einsum("csb,nsc->nbc", adjoint, TEST.direct)
@@ -27,13 +28,27 @@ def test_importance_is_the_adjoint_of_the_bake(monkeypatch):
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
-def test_cells_split_the_samples_by_nearness_and_facing():
-    found = cells(DATASET)
+def test_the_operator_goes_forward_as_the_bake_does(monkeypatch):
+    monkeypatch.setattr(operator, "_RECEIVERS", 50)
+    monkeypatch.setattr(operator, "_COLUMNS", 5)
+    albedo = fit_albedo(DATASET)
+    found = respond(DATASET.transport, albedo, TEST.direct[..., 1].T)
+    np.testing.assert_allclose(found[:, 1].T, TEST.indirect[..., 1], rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["cells", "surface"])
+def test_patterns_share_out_the_surface_by_nearness_and_facing(kind):
+    found = prior_columns(DATASET, kind)
     points, samples = DATASET.measurement_points, DATASET.transport.samples
-    assert found.of_sample.shape == (len(samples),)
-    np.testing.assert_allclose(np.sum(points.normal[found.of_sample] * samples.normal, axis=1), 1.0)
-    np.testing.assert_allclose(found.measured.sum(axis=1), 1.0)
-    np.testing.assert_allclose(found.measured, np.eye(len(points)))  # one dense point each, its own cell
+    np.testing.assert_allclose(found.direct.sum(axis=1), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(found.measured.sum(axis=1), 1.0, rtol=1e-5)
+    nearest = points[np.argmax(found.direct, axis=1)]
+    np.testing.assert_allclose(np.sum(nearest.normal * samples.normal, axis=1), 1.0)
+    if kind == "cells":
+        np.testing.assert_allclose(found.measured, np.eye(len(points)))  # one dense point each, its own cell
+    else:
+        behind = points.normal @ samples.normal.T < -0.5
+        assert found.direct.T[behind].max() < 0.02
 
 
 def test_without_the_prior_it_is_svd_ridge_without_its_mean():
@@ -43,18 +58,38 @@ def test_without_the_prior_it_is_svd_ridge_without_its_mean():
 
 
 def test_the_matrix_is_the_estimate_under_the_mixed_covariance():
-    """u = Uᵀ 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)⁻¹ x, spelled out for one channel with both covariances of trace 1."""
+    """u = Uᵀ 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)⁻¹ x, spelled out with both covariances of trace 1."""
     rng = np.random.default_rng(0)
-    x, y, adjoint = rng.uniform(size=(6, 30)), rng.uniform(size=(11, 30)), rng.normal(size=(1, 20, 4))
-    u, measured, of_sample = np.linalg.qr(rng.normal(size=(11, 4)))[0], rng.uniform(size=(6, 6)), rng.integers(0, 6, 20)
-    examples = Examples(*(jnp.asarray(a) for a in (x, y, np.linalg.norm(x, axis=0), 0.0)))
-    found = regress_with_cells(examples, jnp.asarray(u), Cells(of_sample, measured), jnp.asarray(adjoint), 0.02, 0.3)
+    x, u, measured, caused = (rng.uniform(size=shape) for shape in ((6, 30), (4, 30), (6, 6), (4, 6)))
+    columns, targets = mixed((jnp.asarray(x), jnp.asarray(u)), (jnp.asarray(measured), jnp.asarray(caused)), 0.3)
+    found = ridge(columns, targets, relative_damping(columns, 0.02))
 
-    light, cell_trace = np.sum(x**2), np.sum(measured**2)
-    response = adjoint[0].T @ np.eye(6)[of_sample]
-    seen = 0.7 * x @ x.T / light + 0.3 * measured @ measured.T / cell_trace
-    caused = 0.7 * u.T @ y @ x.T / light + 0.3 * response @ measured.T / cell_trace
-    np.testing.assert_allclose(found[0], caused @ np.linalg.inv(seen + 0.02 / 6 * np.eye(6)), rtol=1e-10)
+    light, trace = np.sum(x**2), np.sum(measured**2)
+    seen = 0.7 * x @ x.T / light + 0.3 * measured @ measured.T / trace
+    answer = 0.7 * u @ x.T / light + 0.3 * caused @ measured.T / trace
+    np.testing.assert_allclose(found, answer @ np.linalg.inv(seen + 0.02 / 6 * np.eye(6)), rtol=1e-10)
+
+
+def test_auto_takes_what_leaves_out_each_lighting_best(monkeypatch):
+    """Against fits that leave each training lighting out in turn; the choice is the best pair of the grid."""
+    monkeypatch.setattr(operator_ridge, "RIDGES", (1e-3, 3e-1))
+    monkeypatch.setattr(operator_ridge, "_SHARES", (0.05, 0.7))
+    rng = np.random.default_rng(1)
+    pair, patterns = (
+        [jnp.asarray(rng.normal(size=s)) for s in shapes] for shapes in (((6, 9), (3, 9)), ((6, 6), (3, 6)))
+    )
+    errors = {}
+    for share in (0.05, 0.7):
+        for factor in (1e-3, 3e-1):
+            x, targets = (np.asarray(part) for part in mixed(tuple(pair), tuple(patterns), share))
+            damping = relative_damping(jnp.asarray(x), factor)
+            errors[factor, share] = 0.0
+            for left in range(9):
+                kept = np.arange(x.shape[1]) != left
+                w = ridge(jnp.asarray(x[:, kept]), jnp.asarray(targets[:, kept]), damping)
+                errors[factor, share] += float(np.sum((w @ pair[0][:, left] - pair[1][:, left]) ** 2))
+    found = prt.method("operator-ridge")._chosen([tuple(pair)], [tuple(patterns)])
+    assert tuple(float(value) for value in found) == min(errors, key=errors.get)
 
 
 def test_light_that_is_constant_on_cells_is_predicted_whatever_the_lightings():
@@ -62,7 +97,7 @@ def test_light_that_is_constant_on_cells_is_predicted_whatever_the_lightings():
     model = prt.method("operator-ridge", prior=1.0, ridge=1e-12, basis=12).fit(TRAIN)
     rng = np.random.default_rng(0)
     x = rng.uniform(0, 1, (4, len(DATASET.measurement_points), 3))
-    direct = x[:, cells(DATASET).of_sample]
+    direct = np.einsum("sm,nmc->nsc", prior_columns(DATASET, "cells").direct, x)
     adjoint = importance(DATASET.transport, jnp.asarray(DATASET.transport.samples.albedo, jnp.float32), model.basis)
     expected = np.einsum("csb,nsc->nbc", adjoint, direct)
     np.testing.assert_allclose(model.transfer(jnp.asarray(x)), expected, rtol=1e-4)

@@ -1,0 +1,91 @@
+"""The traced operator as the operator methods use it: forward on patterns of direct light, or its adjoint on a basis."""
+
+from collections.abc import Iterator
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from prt_bench.dataset import LightingDataset, Transport
+from prt_bench.transport import GatherOperator, final_gather, radiosity
+
+_RECEIVERS = 8192  # rows of the receiver table in memory at once
+_COLUMNS = 64  # patterns that are sent through the operator at once
+_STREAMED = 512  # streamed lightings in memory at once
+
+
+def fit_albedo(ds: LightingDataset) -> Float[Array, "S C"]:
+    """Albedo of the gather samples, one channel where the light and the scene have no colour."""
+    coloured = ds.indirect.shape[2] > 1 and not ds.transport.scene.achromatic
+    return jnp.asarray(ds.transport.samples.albedo[:, : 3 if coloured else 1], jnp.float32)
+
+
+def respond(
+    transport: Transport, albedo: Float[Array, "S C"], direct: Float[np.ndarray, "S P"]
+) -> Float[np.ndarray, "T C P"]:
+    """𝒮 · direct: the indirect irradiance of all bounces that P grey patterns of direct light cause; float32, as the bake."""
+    channels = albedo.shape[1]
+    out = np.empty((len(transport.receivers), channels, direct.shape[1]), np.float32)
+    gather = transport.sample_gather()
+    for start in range(0, direct.shape[1], _COLUMNS):
+        columns = slice(start, start + _COLUMNS)
+        part = jnp.asarray(direct[:, columns].T, jnp.float32)[:, :, None]
+        light = jnp.broadcast_to(part, (*part.shape[:2], channels))
+        outgoing = radiosity(gather, albedo, light, transport.bounces - 1)
+        for rows in _row_blocks(len(out)):
+            received = final_gather(transport.receiver_gather(rows), outgoing)
+            out[rows, :, columns] = np.moveaxis(np.asarray(received), 0, 2)
+    return out
+
+
+def importance(transport: Transport, albedo: Float[Array, "S C"], u: Float[Array, "T B"]) -> Float[Array, "C S B"]:
+    """𝒮ᵀ U: what direct light at each sample adds to each coefficient, through all bounces.
+
+    The adjoint carries B columns where the forward operator would carry one for each pattern. Differentiable in u and
+    albedo; float32, as the bake.
+    """
+    u = u.astype(jnp.float32)
+    received = jnp.zeros((len(transport.samples), u.shape[1]), jnp.float32)
+    for rows in _row_blocks(u.shape[0]):
+        received += _transposed_gather(transport.receiver_gather(rows), u[rows])
+    gather = transport.sample_gather(differentiable=True)
+    return jnp.stack(
+        [_transposed_bounces(gather, albedo[:, c : c + 1], received, transport.bounces) for c in range(albedo.shape[1])]
+    )
+
+
+@jax.jit
+def coefficients(importance: Float[Array, "C S B"], direct: Float[Array, "S n"]) -> Float[Array, "C B n"]:
+    """Coefficients of the indirect light that patterns of direct light cause, from the adjoint `importance`."""
+    return jnp.einsum("csb,sn->cbn", importance, direct, precision="highest").astype(jnp.float64)
+
+
+def streamed_blocks(ds: LightingDataset) -> Iterator[tuple[slice, Float[np.ndarray, "S n"]]]:
+    """Direct light of the streamed lightings at the gather samples, some lightings at a time."""
+    direct = ds.streamed.direct
+    for start in range(0, direct.shape[0], _STREAMED):
+        rows = slice(start, min(start + _STREAMED, direct.shape[0]))
+        yield rows, np.asarray(direct[rows]).T
+
+
+def _row_blocks(receivers: int) -> Iterator[slice]:
+    return (slice(start, min(start + _RECEIVERS, receivers)) for start in range(0, receivers, _RECEIVERS))
+
+
+@jax.jit
+def _transposed_gather(gather: GatherOperator, u: Float[Array, "P B"]) -> Float[Array, "S B"]:
+    _, transposed = jax.vjp(gather, jnp.zeros((gather.samples, u.shape[1]), u.dtype))
+    return transposed(u)[0]
+
+
+@partial(jax.jit, static_argnames="bounces")
+def _transposed_bounces(
+    gather: GatherOperator, albedo: Float[Array, "S 1"], received: Float[Array, "S B"], bounces: int
+) -> Float[Array, "S B"]:
+    def outgoing(direct: Float[Array, "B S 1"]) -> Float[Array, "S B 1"]:
+        return radiosity(gather, albedo, direct, bounces - 1)
+
+    _, transposed = jax.vjp(outgoing, jnp.zeros((received.shape[1], received.shape[0], 1), received.dtype))
+    return transposed(received[:, :, None])[0][:, :, 0].T

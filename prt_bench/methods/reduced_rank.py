@@ -1,0 +1,118 @@
+"""Reduced-rank regression: the best linear map of a given rank, where `svd-ridge` fixes its basis before it regresses."""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from prt_bench.dataset import LightingDataset
+from prt_bench.linalg import leading_basis, rounding_floor, svd
+from prt_bench.methods.base import Method
+from prt_bench.methods.examples import Examples, normalised, training_light
+from prt_bench.methods.linear import linear_model, warn_of_rank
+from prt_bench.methods.operator import coefficients, fit_albedo, importance, respond, streamed_blocks
+from prt_bench.methods.operator_ridge import RIDGES, Auto
+from prt_bench.methods.prior import Columns, Kind, prior_columns, scale
+from prt_bench.models import LinearModel
+
+_SIZING = 16  # basis functions that tell the size of a lighting's indirect light
+
+
+@dataclass(frozen=True)
+class ReducedRank(Method):
+    """The rank-B map W = U Uᵀ 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)⁻¹ with the least expected error under the covariance Σ of direct light.
+
+    Σ is that of the streamed lightings, each over the size of its indirect light, with a share `prior` of surface patterns
+    as in `operator-ridge`. U are the leading left singular vectors of 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)^(−1/2): what can be told from the
+    measured light, where principal components hold what varies, told or not. `ridge` is relative to the trace; "auto" takes
+    the one with the least error of the unreduced map on the training lightings. The map is linear. The dataset must be
+    baked with `streamed` lightings.
+    """
+
+    name: ClassVar[str] = "reduced-rank"
+    summary: ClassVar[str] = "the best linear map of rank B for thousands of lightings streamed through the operator"
+    citation: ClassVar[str] = "izenman1975reducedrank, with the covariance of the streamed direct light"
+
+    basis: int = 16
+    ridge: float | Auto = "auto"
+    prior: float = 0.02
+    patterns: Kind = "cells"
+
+    def __post_init__(self) -> None:
+        self.require(self.basis >= 1, "basis", "at least 1")
+        self.require(self.ridge == "auto" or 0 < self.ridge < float("inf"), "ridge", "positive or 'auto'")
+        self.require(0 <= self.prior <= 1, "prior", "from 0 to 1")
+
+    def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> LinearModel:
+        """Fit in closed form; needs the transport and the streamed lightings of `ds`."""
+        examples = normalised(*training_light(ds))
+        factors = _factors(ds, examples, prior_columns(ds, self.patterns), self.prior)
+        ridges = jnp.asarray(RIDGES if self.ridge == "auto" else (self.ridge,))
+        damping = ridges * jnp.sum(factors.s**2) / len(factors.p)
+        if len(ridges) > 1:
+            damping = damping[jnp.argmin(jnp.stack([_error(factors, examples, value) for value in damping]))]
+        model = linear_model(*_reduced(factors, damping.reshape(()), self.basis))
+        warn_of_rank(self.label, model)
+        return model
+
+
+class _Factors(NamedTuple):
+    """A Σ Aᵀ = p s² pᵀ, and the light [T, C, M] that the patterns behind each direction of p cause, over s."""
+
+    p: Float[Array, "M M"]
+    s: Float[Array, " M"]
+    response: Float[np.ndarray, "T C M"]
+
+
+def _factors(ds: LightingDataset, examples: Examples, patterns: Columns, share: float) -> _Factors:
+    albedo = fit_albedo(ds)
+    u, _ = leading_basis(examples.y, _SIZING, examples.floor)
+    weight = np.asarray(_weights(ds, importance(ds.transport, albedo, u)))
+    x = ds.streamed.measured.T * weight
+    of_lightings, of_patterns = float(scale(1.0 - share, x)), float(scale(share, patterns.measured))
+    p, s, qt = svd(jnp.concatenate([of_lightings * x, of_patterns * patterns.measured], axis=1))
+    q = np.asarray(qt.T, np.float32)
+    lightings, rest = q[: x.shape[1]] * (of_lightings * weight[:, None]), q[x.shape[1] :]
+    direct = of_patterns * patterns.direct @ rest
+    for rows, light in streamed_blocks(ds):
+        direct += light @ lightings[rows]
+    return _Factors(p, s, respond(ds.transport, albedo, direct.astype(np.float32)))
+
+
+def _weights(ds: LightingDataset, adjoint: Float[Array, "C S B"]) -> Float[np.ndarray, " n"]:
+    """One over the size of each streamed lighting's indirect light; 0 where it causes none."""
+    sizes = [np.linalg.norm(coefficients(adjoint, direct), axis=(0, 1)) for _, direct in streamed_blocks(ds)]
+    size = np.concatenate(sizes)
+    return np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0).astype(np.float32)
+
+
+@jax.jit
+def _error(factors: _Factors, examples: Examples, damping: Array) -> Array:
+    """Squared error of the map of full rank on the training lightings."""
+    channels = factors.response.shape[1]
+    seen = jnp.matmul(_filtered(factors.s, damping, 1.0)[:, None] * factors.p.T, examples.x, precision="highest")
+
+    def missed(c: int) -> Array:
+        light = jnp.matmul(jnp.asarray(factors.response[:, c], jnp.float64), seen[:, c::channels], precision="highest")
+        return jnp.sum((light - examples.y[:, c::channels]) ** 2)
+
+    return sum((missed(c) for c in range(channels)), jnp.zeros(()))
+
+
+def _reduced(factors: _Factors, damping: Array, count: int) -> tuple[Array, Array, None, Array]:
+    """Basis, one matrix per channel, no centre, and singular values."""
+    half = _filtered(factors.s, damping, 0.5)
+    light = jnp.asarray(factors.response, jnp.float64) * half
+    flat = light.reshape(len(light), -1)
+    u, values = leading_basis(flat, count, rounding_floor(flat, jnp.float32))
+    after = (1.0 / jnp.sqrt(factors.s**2 + damping))[:, None] * factors.p.T
+    matrix = jnp.einsum("tb,tcm->cbm", u, light, precision="highest")
+    return u, jnp.matmul(matrix, after, precision="highest"), None, values
+
+
+def _filtered(s: Float[Array, " M"], damping: Array, power: float) -> Float[Array, " M"]:
+    """s / (s² + λ)^power."""
+    return s / (s**2 + damping) ** power
