@@ -112,10 +112,12 @@ def case(
     return lambda check: Case(key, title, kind, subjects, family, check, routes)
 
 
-def run_cell(hard: Case, subject: str, route: Route) -> Cell:
-    """Judge every member of a case's family. Never raises for what the subject does wrong."""
+def run_cell(hard: Case, subject: str, route: Route, most: int | None = None) -> Cell:
+    """Judge every member of a case's family, or `most` evenly spread ones. Never raises for what the subject does wrong."""
     tested = hard.subjects()[subject]
-    verdicts = [_judge(hard, tested, member, route) for member in hard.family(route)]
+    members = list(hard.family(route))
+    chosen = members if most is None else members[:: -(-len(members) // most)]
+    verdicts = [_judge(hard, tested, member, route) for member in chosen]
     order = list(Outcome)
     worst = max(verdicts, key=lambda verdict: (order.index(verdict.outcome), verdict.margin))
     outcome = worst.outcome

@@ -39,9 +39,9 @@ def gradient_error(
             yield Measured(np.nan, route.gradient_tolerance)
             continue
         difference = _difference(loss, precise, index, direction)
-        size = np.linalg.norm(direction) / max(float(np.linalg.norm(precise[index])), 1e-300)
+        size = np.linalg.norm(direction) / (float(np.linalg.norm(precise[index])) or 1.0)
         scale = max(np.linalg.norm(slope) * np.linalg.norm(direction), np.linalg.norm(weight * value) * size)
-        yield Measured(float(abs(np.sum(slope * direction) - difference) / scale), route.gradient_tolerance)
+        yield Measured(float(abs(np.sum(slope * direction) - difference) / (scale or 1.0)), route.gradient_tolerance)
 
 
 def _difference(loss: Callable[..., jax.Array], at: list[jax.Array], index: int, direction: np.ndarray) -> float:

@@ -1,0 +1,204 @@
+"""Every method on every rig: finite, shipped without loss, indifferent to what must not matter, near what its basis can do."""
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from prt_bench.methods.base import Method
+from prt_bench.models import LinearModel, Model
+from prt_bench.stability import rigs
+from prt_bench.stability.cell import Kind, Measured, Member, case
+from prt_bench.stability.rigs import Rig, dataset, mixed, subjects
+from prt_bench.stability.routes import F32, F64, Route
+
+_EQUAL = 1e-9
+"""Largest relative difference of two fits that must be the same but for rounding in float64."""
+
+
+def _difference(found: object, wanted: object) -> float:
+    a, b = np.asarray(found, np.float64), np.asarray(wanted, np.float64)
+    size = np.abs(b).max()
+    return float(np.abs(a - b).max() / size) if size else float(np.abs(a).max())
+
+
+def _shipped(model: Model, test: object) -> tuple[np.ndarray, float]:
+    """What the exported asset predicts, and the size of the numbers that it adds up."""
+    with tempfile.TemporaryDirectory() as folder:
+        asset = model.export(Path(folder) / "asset")
+        found = asset.predict(test)
+    if not isinstance(model, LinearModel):
+        return found, float(np.abs(found).max())
+    size = LinearModel(jnp.abs(model.basis), jnp.abs(model.weights)).predict(test)  # pyright: ignore[reportArgumentType]
+    return found, float(np.max(size))
+
+
+@case("A13", "fitted in float64, shipped in float32", subjects=subjects, family=rigs.rigs)
+def ships(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """A1 to A7: finite on every rig, and the asset differs by float32 rounding of its terms alone."""
+    model = method.fit(rig.train)
+    plain = np.asarray(model.predict(rig.test), np.float64)
+    yield Measured(0.0 if np.all(np.isfinite(plain)) else np.nan, 1.0)
+    if model.kernels:
+        found, size = _shipped(model, rig.test)
+        unit = F32.eps * size
+        yield Measured(float(np.abs(found - plain).max()), 8 * unit, unit)
+
+
+@case("B3", "bounded answers", subjects=subjects, family=lambda route: rigs.rigs(route, (0, 1)))
+def bounded(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """B3, A1b: light as bright as the training light is not predicted many times brighter, whatever the fit was given.
+
+    What centring leaves of constant light is rounding; a ridge relative to *that* divides by rounding.
+    """
+    found = np.abs(np.asarray(method.fit(rig.train).predict(rig.test), np.float64)).max()
+    yield Measured(float(found), 10.0 * float(rig.test.indirect.max()))
+
+
+@case("A5", "unit of light", subjects=subjects, family=rigs.rigs)
+def unit_of_light(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """A5: light in other units gives the same model; powers of two change no digit of the data."""
+    plain = method.fit(rig.train).predict(rig.test)
+    for factor in (route.compute(2.0**-10), route.compute(2.0**20)):
+        scaled = dataset(factor * rig.train.measured, factor * rig.train.indirect)
+        yield Measured(_difference(method.fit(scaled).predict(rig.test), plain), _EQUAL)
+
+
+@case("C4", "f(a x) = a f(x)", subjects=subjects, family=rigs.rigs)
+def homogeneous(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """C4, A6: homogeneous over twelve decades, and exactly black for no light."""
+    model = method.fit(rig.train)
+    x = jnp.asarray(model.measure(rig.test), jnp.float64)
+    plain = model.reconstruct(model.transfer(x))
+    for factor in (1e-6, 3.0, 1e6):
+        yield Measured(_difference(model.reconstruct(model.transfer(factor * x)) / factor, plain), _EQUAL)
+    yield Measured(float(np.abs(model.reconstruct(model.transfer(0.0 * x))).max()), 0.0)
+
+
+def _plain(route: Route) -> Iterator[Member]:
+    return rigs.named("plain", route, (0, 1))
+
+
+@case("A6", "black lightings", subjects=subjects, family=_plain)
+def black(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """A6: they change nothing, wherever they stand among the others."""
+    measured, indirect = (np.repeat(light, 2, axis=0) for light in (rig.train.measured, rig.train.indirect))
+    measured[::2], indirect[::2] = 0.0, 0.0
+    with_black = method.fit(dataset(measured, indirect)).predict(rig.test)
+    yield Measured(_difference(with_black, method.fit(rig.train).predict(rig.test)), _EQUAL)
+
+
+@case("A7", "intensities of twelve decades", subjects=subjects, family=_plain, routes=(F64, F32))
+def intensities(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """A7: no lighting is lost beside the brightest; the worst relative error of a lighting stays what it was."""
+    factors = 2.0 ** np.linspace(-20, 20, rigs.LIGHTINGS).round().astype(route.compute)[:, None, None]
+    scaled = dataset(factors * rig.train.measured, factors * rig.train.indirect)
+    worst = []
+    for train in (rig.train, scaled):
+        found, wanted = np.asarray(method.fit(train).predict(train), np.float64), train.indirect.astype(np.float64)
+        size = np.linalg.norm(wanted, axis=(1, 2))
+        worst.append(np.max(np.linalg.norm(found - wanted, axis=(1, 2)) / size))
+    yield Measured(float(worst[1]), float(1.05 * worst[0] + 30 * route.eps))
+
+
+def _low_rank(route: Route) -> Iterator[Member]:
+    """Mixtures of eight lights in one channel: what is measured determines the light."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        splits = []
+        for count in (rigs.LIGHTINGS, 12):
+            weights = (
+                rng.uniform(0, 1, (count, rigs.LIGHTINGS - 1, 1)) ** 3 * (np.arange(rigs.LIGHTINGS - 1) < 8)[:, None]
+            )
+            splits.append([route.arrive(light[..., :1]) for light in mixed(np.repeat(weights, 3, axis=2))])
+        (x, y), (test_x, test_y) = splits
+        rig = Rig(dataset(x, y), dataset(test_x, test_y, "test"), (x, y))
+        yield Member(f"seed {seed}", rig)
+
+
+def _fitting() -> dict[str, Method]:
+    return {
+        f"{label}, {size} functions": method
+        for size in (4, 12)
+        for label, method in subjects("method", basis=size, ridge=1e-12, prior=0.0).items()
+    }
+
+
+@case("A8", "error near the projection", subjects=_fitting, family=_low_rank)
+def near_projection(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """A8, A9: normalising or centring one side alone costs many times what the basis leaves; so does a float32 fit.
+
+    With a ridge of 1e-12 data in another precision carry an error of their own, and amplify it.
+    """
+    model = method.fit(rig.train)
+    found, wanted = np.asarray(model.predict(rig.test), np.float64), rig.test.indirect.astype(np.float64)
+    u = np.linalg.qr(np.asarray(model.span))[0]
+    best = wanted - np.einsum("tb,sb,nsc->ntc", u, u, wanted, optimize=True)
+    e_rec, e_proj = (np.linalg.norm(part) / np.linalg.norm(wanted) for part in (found - wanted, best))
+    yield Measured(float(max(e_proj - e_rec, 0.0)), 1e-6)
+    yield Measured(float(e_rec), float(1.5 * e_proj + 300 * route.data_eps + 1e-9))
+
+
+@case("H3", "white light in training, red light at test", subjects=subjects, routes=(F64, F32),
+      family=lambda route: rigs.named("white", route, (0, 1)))  # fmt: skip
+def red_light(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
+    """H3: channels are examples of one map; red light is predicted as the red of white light, and nothing else lights up."""
+    model = method.fit(rig.train)
+    red = np.array([1.0, 0.0, 0.0], route.compute)
+    white = np.asarray(model.predict(rig.test))
+    found = model.predict(dataset(rig.test.measured * red, rig.test.indirect * red, "test"))
+    yield Measured(_difference(found, white * red), _EQUAL)
+
+
+def _unusable(route: Route) -> Iterator[Member]:
+    (plain,) = rigs.named("plain", route, (0,))
+    light = {name: getattr(plain.data.train, name) for name in ("measured", "indirect")}
+    yield Member("all black", plain.data._replace(train=dataset(**{name: 0 * value for name, value in light.items()})))
+    for name, value in light.items():
+        for bad in (np.nan, np.inf):
+            damaged = value.copy()
+            damaged[3, 2, 1] = bad
+            yield Member(f"{bad} in {name}", plain.data._replace(train=dataset(**{**light, name: damaged})))
+
+
+def _fitted_at_all() -> dict[str, Method]:
+    return {label: method for label, method in subjects(variants=False).items() if method.role != "ceiling"}
+
+
+@case("A6", "no light, NaN and infinity", kind=Kind.REFUSAL, subjects=_fitted_at_all, family=_unusable)
+def unusable(method: Method, rig: Rig, route: Route) -> bool:
+    """A6: nothing can be learned from such light, and the fit says so."""
+    method.fit(rig.train)
+    return False
+
+
+def _on_a_basis(basis: int = rigs.BASIS, **wished: bool) -> dict[str, Method]:
+    found = subjects("method", basis=basis, **wished)
+    return {label: method for label, method in found.items() if "basis" in rigs.settings(method)}
+
+
+@case(
+    "B2", "more functions than the light has rank", kind=Kind.REFUSAL, subjects=_on_a_basis,
+    family=lambda route: rigs.named("constant", route, (0, 1)),
+)  # fmt: skip
+def short_of_rank(method: Method, rig: Rig, route: Route) -> bool:
+    """B2, B3: one lighting repeated has a rank of one per channel; the fit warns of the functions that are left empty."""
+    method.fit(rig.train)
+    return False
+
+
+def _without_mean() -> dict[str, Method]:
+    found = _on_a_basis(rigs.BASIS - 1, mean=False)
+    return {label: method for label, method in found.items() if not rigs.settings(method).get("mean", False)}
+
+
+@case(
+    "B4", "a cut through equal singular values", kind=Kind.REFUSAL, subjects=_without_mean,
+    family=lambda route: rigs.named("symmetric", route, (0, 1)),
+)  # fmt: skip
+def arbitrary_cut(method: Method, rig: Rig, route: Route) -> bool:
+    """B4, B5: an odd number of functions of a symmetric rig is arbitrary; the fit warns of it."""
+    method.fit(rig.train)
+    return False

@@ -1,0 +1,155 @@
+"""Lighting datasets that are hard to fit, all on the cube room with its traced operator, and the methods to fit to them.
+
+Light is linear, so every rig is a mixture of the room's point lights: exact for every method, those with a prior included.
+"""
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+
+import numpy as np
+from jaxtyping import Float
+
+from prt_bench.dataset import LightingDataset
+from prt_bench.errors import SpecError
+from prt_bench.example import example_dataset
+from prt_bench.methods import methods
+from prt_bench.methods.base import Method
+from prt_bench.stability.cell import Member
+from prt_bench.stability.routes import Route
+
+LIGHTINGS = MEASUREMENTS = 24
+BASIS = 6
+"""Even, since the symmetric rig has every singular value twice."""
+_FIXED = ("transport", "measurement_points", "dense_points", "groups", "metadata", "lightings")
+
+
+class Rig(NamedTuple):
+    """Training and test light as they arrived, and a direction [measured, indirect] that keeps the rig what it is."""
+
+    train: SimpleNamespace
+    test: SimpleNamespace
+    tangent: tuple[np.ndarray, np.ndarray]
+
+
+@cache
+def room() -> LightingDataset:
+    """The cube room under point lights."""
+    return example_dataset(texels=4, lightings=LIGHTINGS, measurements=MEASUREMENTS, rays=32)
+
+
+@cache
+def _white(split: str) -> tuple[Float[np.ndarray, "L M"], Float[np.ndarray, "L T 3"]]:
+    """Measured and indirect light of the room's lights, as if each were white and of intensity 1."""
+    ds = room().split(split)
+    colour = np.array([np.asarray(vars(lighting.lights[0])["intensity"], float) for lighting in ds.lightings])
+    lit = np.all(colour > 0, axis=1)
+    return ds.measured[lit, :, 0] / colour[lit, :1], ds.indirect[lit] / colour[lit, None]
+
+
+def mixed(weights: Float[np.ndarray, "N L 3"], split: str = "train") -> tuple[np.ndarray, np.ndarray]:
+    """Measured [N, M, 3] and indirect [N, T, 3] light of mixtures of the room's lights."""
+    measured, indirect = _white(split)
+    weights = weights[:, : len(measured)]
+    return np.einsum("nlc,lm->nmc", weights, measured), np.einsum("nlc,ltc->ntc", weights, indirect)
+
+
+def dataset(measured: Any, indirect: Any, split: str = "train") -> SimpleNamespace:
+    """Light in the room as methods take it: all that a fit may look at. The arrays may be traced."""
+    ds = room().split(split)
+    fixed = {name: getattr(ds, name) for name in _FIXED}
+    return SimpleNamespace(**fixed, measured=measured, indirect=indirect, indirect_half=indirect)
+
+
+def _weights(seed: int) -> dict[str, Float[np.ndarray, "N L 3"]]:
+    """Mixtures by name. The room has one black lighting, so one light fewer than lightings."""
+    rng = np.random.default_rng(seed)
+    lights = LIGHTINGS - 1
+    alone = np.eye(LIGHTINGS)[:, :lights, None]
+    alone[-1, 0] = 0.5
+    colour = rng.uniform(0.2, 1.0, (LIGHTINGS, 1, 3))
+    n = np.arange(LIGHTINGS)
+    few = rng.uniform(0, 1, (LIGHTINGS, lights, 3)) * (np.arange(lights) < 4)[:, None]
+    return {
+        "plain": alone * colour,
+        "duplicated": (alone * colour)[n // 2],
+        "dark": alone * colour * (n % 3 > 0)[:, None, None],
+        "rank-deficient": few,
+        "intensities 1e-6 to 1e6": alone
+        * colour
+        * 10.0 ** np.linspace(-6, 6, LIGHTINGS)[rng.permutation(n), None, None],
+        "white": alone * colour[..., :1] * np.ones(3),
+        "constant": np.repeat((alone * colour)[:1], LIGHTINGS, axis=0),
+    }
+
+
+def rigs(route: Route, seeds: tuple[int, ...] = (0,)) -> Iterator[Member]:
+    """Every rig for each seed. Where the dtype cannot hold the light, the rig is ill-posed."""
+    for seed in seeds:
+        for name, weights in _weights(seed).items():
+            measured, indirect = mixed(weights)
+            if name == "duplicated":
+                measured[:, 1] = measured[:, 0]
+            yield _member(f"{name}, seed {seed}", measured, indirect, route, seed, constant=name == "constant")
+        half_m, half_y = (part[: LIGHTINGS // 2] for part in mixed(_weights(seed)["plain"]))
+        both = [np.concatenate([_beside(part, 0), _beside(part, 1)]) for part in (half_m[:, ::2], half_y[:, ::2])]
+        yield _member(f"symmetric, seed {seed}", both[0], both[1], route, seed)
+
+
+def named(name: str, route: Route, seeds: tuple[int, ...]) -> Iterator[Member]:
+    """The rigs of one name."""
+    return (member for member in rigs(route, seeds) if member.name.startswith(name))
+
+
+def _beside(half: np.ndarray, side: int) -> np.ndarray:
+    """Light on one of two mirrored halves of the points, the other one dark."""
+    return np.concatenate([half, 0.0 * half][:: -1 if side else 1], axis=1)
+
+
+def _member(
+    name: str, measured: np.ndarray, indirect: np.ndarray, route: Route, seed: int, constant: bool = False
+) -> Member:
+    rng = np.random.default_rng([seed, 9])
+    test = mixed(np.eye(12)[:, :, None] * rng.uniform(0.2, 1.0, (12, 1, 3)), "test")
+    x, y = route.arrive(measured), route.arrive(indirect)
+    finite = bool(np.all(np.isfinite(x)) and np.all(np.isfinite(y)))
+    change_x, change_y = (rng.normal(size=light[:1].shape if constant else light.shape) for light in (x, y))
+    tangent = (change_x * x, change_y * y) if finite else (x, y)
+    rig = Rig(dataset(x, y), dataset(route.arrive(test[0]), route.arrive(test[1]), "test"), tangent)
+    return Member(name, rig, ill_posed=not finite)
+
+
+def subjects(role: str | None = None, variants: bool = True, **wished: Any) -> dict[str, Method]:
+    """Every method by label, and its variants: each choice and each switch among the settings, one changed at a time.
+
+    Ceilings without settings are left out: they fit nothing. `wished` settings are given to the methods that have them.
+    """
+    found: dict[str, Method] = {}
+    for kind in methods().values():
+        own = {field.name for field in fields(kind)}
+        if role not in (None, kind.role) or (kind.role == "ceiling" and not own):
+            continue
+        plain = kind(**{name: value for name, value in {"basis": BASIS, **wished}.items() if name in own})
+        for method in (plain, *(_variants(plain) if variants else ())):
+            found[method.label] = method
+    return found
+
+
+def settings(method: Method) -> dict[str, Any]:
+    """The settings of a method by name."""
+    return {field.name: getattr(method, field.name) for field in fields(method)}
+
+
+def _variants(plain: Method) -> Iterator[Method]:
+    hints = get_type_hints(type(plain))
+    for field in fields(plain):
+        hint = hints[field.name]
+        choices = get_args(hint) if get_origin(hint) is Literal else (True, False) if hint is bool else ()
+        for choice in choices:
+            if choice != getattr(plain, field.name):
+                try:
+                    yield replace(plain, **{field.name: choice})
+                except SpecError:
+                    continue  # settings that exclude each other
