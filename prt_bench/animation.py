@@ -57,15 +57,17 @@ def fit_keyframes(method: Method, clip: Clip, key: jax.Array | None = None) -> K
 
     Each keyframe is fitted with as many functions of its own as its lightings determine, and what that predicts is projected
     on the common basis. For `svd-ridge` without mean this *is* ridge regression of each keyframe's coefficients in the common
-    basis. Raises `SpecError` for a method that has no basis size or whose model is not linear.
+    basis; what `operator-ridge` knows of light that lies outside the span of the keyframe's lightings is lost.
+
+    Raises `SpecError` for a method that has no basis size or whose model is not linear.
     """
     if "basis" not in [setting.name for setting in fields(method)]:
         raise SpecError(
             f"method '{method.name}' has no basis that keyframes could share; use svd-ridge or operator-ridge"
         )
+    models = [_fit_in_full(method, ds, key) for ds in clip]
     basis = common_basis(clip, getattr(method, "basis"))  # noqa: B009
-    weights = [_on_basis(basis, _fit_in_full(method, ds, key)) for ds in clip]
-    return KeyframeModel(basis, jnp.stack(weights))
+    return KeyframeModel(basis, jnp.stack([_on_basis(basis, model) for model in models]))
 
 
 def hat_blend(
@@ -81,7 +83,7 @@ def _fit_in_full(method: Method, ds: LightingDataset, key: jax.Array | None) -> 
         warnings.simplefilter("ignore")  # of missing rank: full rank is asked for wherever it is there
         model = replace(method, **{"basis": full}).fit(ds, key)
     if not isinstance(model, LinearModel):
-        raise SpecError(f"method '{method.name}' does not fit a linear model, so keyframes cannot share its basis")
+        raise SpecError(f"method '{method.label}' does not fit a linear model, so keyframes cannot share its basis")
     return model
 
 

@@ -149,5 +149,5 @@ def test_what_is_refused(ds):
     train = Clip((ds.split("train"),))
     with pytest.raises(SpecError, match="'mean' has no basis"):
         fit_keyframes(prt.method("mean"), train)
-    with pytest.raises(SpecError, match="'oracle' does not fit a linear model"):
+    with pytest.raises(SpecError, match="'oracle b2' does not fit a linear model"):
         fit_keyframes(Oracle(), train)
