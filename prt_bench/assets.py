@@ -17,11 +17,12 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from prt_bench.errors import AssetError
-from prt_bench.models import LinearModel, Model, NearestModel
+from prt_bench.gamma import GammaCoupledModel, GammaLinearModel
+from prt_bench.models import CoupledModel, LinearModel, Model, NearestModel
 
 FORMAT = "prt-bench runtime asset"
 VERSION = 1
-_MODELS: tuple[type[Model], ...] = (LinearModel, NearestModel)
+_MODELS: tuple[type[Model], ...] = (LinearModel, CoupledModel, GammaLinearModel, GammaCoupledModel, NearestModel)
 DTYPES = ("float32", "float16")
 """What a basis can be stored in."""
 

@@ -118,7 +118,7 @@ def _chunk_figures(
     if len(predictions) == 2:
         figures["storage"] = relative_norm(prediction - predictions[1], reference)
     if span is not None:  # prediction − r splits into parts within and across the span, which are orthogonal
-        columns = reference.reshape(len(reference), len(span), -1)  # channels apart, or interleaved as the span has them
+        columns = reference.reshape(len(reference), len(span), -1)  # channels apart, or interleaved like the span's
         best = np.einsum("tb,nbc->ntc", span, np.einsum("tb,ntc->nbc", span, columns, optimize=True), optimize=True)
         best = best.reshape(reference.shape)
         figures["projection"] = relative_norm(reference - best, reference)

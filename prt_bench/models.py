@@ -43,7 +43,7 @@ class Model(eqx.Module):
 
     @abstractmethod
     def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B C"]:
-        """Coefficients from the observation."""
+        """Coefficients from the observation: a set for each channel, or one [N, B, 1] for all."""
 
     @abstractmethod
     def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
@@ -58,8 +58,11 @@ class Model(eqx.Module):
         """The weights by name, as an asset stores them."""
 
     @property
-    def span(self) -> Float[Array, "T B"] | None:
-        """Columns whose span holds every prediction, for the projection error; None when the model has none."""
+    def span(self) -> Float[Array, "T B"] | Float[Array, "TC B"] | None:
+        """Columns whose span holds every channel of a prediction, or all of them interleaved; None where there are none.
+
+        For the projection error.
+        """
         return None
 
     @property
@@ -116,6 +119,60 @@ class LinearModel(Model):
     def spectrum(self) -> Float[Array, " n"] | None:
         """Singular values of the training light."""
         return self.singular_values
+
+
+class CoupledModel(Model):
+    """u = W [x; ‖x‖], y = basis · u on vectors that interleave all colour channels: one set of coefficients for all of them.
+
+    basis [T, C, B]; weights [B, M·C + 1], whose columns run over the points with the channel fastest; the last multiplies
+    the norm over points and channels. Homogeneous of degree 1 in the light. Unlike `LinearModel` it knows the colours of
+    the lights that it was fitted to, and those alone.
+    """
+
+    kernels: ClassVar[dict[str, str]] = {"measure": "direct", "transfer": "coupled", "reconstruct": "coupled"}
+
+    basis: Float[Array, "T C B"]
+    weights: Float[Array, "B MC1"]
+    singular_values: Float[Array, " n"] | None = None
+
+    @classmethod
+    def of(cls, joined: LinearModel, channels: int) -> "CoupledModel":
+        """From a model of one matrix that was fitted to `interleaved` light."""
+        size = joined.basis.shape[1]
+        return cls(joined.basis.reshape(-1, channels, size), joined.weights[0], joined.singular_values)
+
+    def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B 1"]:
+        """W [x; ‖x‖] of all channels together. Raises `FitError` for another number of channels than was fitted."""
+        channels = self.basis.shape[1]
+        if x.shape[2] != channels:
+            raise FitError(
+                f"the model couples {channels} channels, but the light has {x.shape[2]};"
+                " fit it on a dataset with the same channels"
+            )
+        return LinearModel(self.basis[:, 0], self.weights[None]).transfer(interleaved(x))
+
+    def reconstruct(self, u: Float[Array, "N B 1"]) -> Float[Array, "N T C"]:
+        """basis · u."""
+        return jnp.einsum("tcb,nbo->ntc", self.basis, u, precision="highest")
+
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """basis and weights."""
+        return {"basis": np.asarray(self.basis), "weights": np.asarray(self.weights)}
+
+    @property
+    def span(self) -> Float[Array, "TC B"]:
+        """The basis over points and channels, the channel fastest."""
+        return self.basis.reshape(-1, self.basis.shape[2])
+
+    @property
+    def spectrum(self) -> Float[Array, " n"] | None:
+        """Singular values of the training light."""
+        return self.singular_values
+
+
+def interleaved(light: Float[Array, "N P C"]) -> Float[Array, "N PC 1"]:
+    """All channels of a lighting as one vector, the channel fastest."""
+    return light.reshape(len(light), -1, 1)
 
 
 class NearestModel(Model):

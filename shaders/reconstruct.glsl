@@ -1,7 +1,12 @@
 // Indirect irradiance at a lightmap coordinate, by the one kernel that is compiled in:
 // RECONSTRUCT_BASIS    Σ_b u_b φ_b, four basis functions per RGBA layer
+// RECONSTRUCT_COUPLED  the same with a basis for each channel, one channel's layers after another's
 // RECONSTRUCT_SELECT   one stored column per channel, scaled
 // RECONSTRUCT_LIGHTMAP the texture itself
+// GAMMA takes the sum back along the curve, times the size in the last coefficient.
+#ifdef GAMMA
+#include "gamma.glsl"
+#endif
 
 layout(binding = 1) uniform sampler2DArray basis;
 
@@ -9,13 +14,21 @@ layout(binding = 1) uniform sampler2DArray basis;
 layout(std140, binding = 0) uniform Coefficients { vec4 coefficients[COEFFICIENTS]; };
 #endif
 
-vec3 indirect_irradiance(vec2 uv) {
+vec3 reconstruction(vec2 uv) {
 #if defined(RECONSTRUCT_BASIS)
     vec3 sum = vec3(0.0);
     for (int layer = 0; layer < LAYERS; ++layer) {
         int b = 4 * layer;
         mat4x3 block = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
         sum += block * textureLod(basis, vec3(uv, layer), 0.0);
+    }
+    return sum;
+#elif defined(RECONSTRUCT_COUPLED)
+    vec3 sum = vec3(0.0);
+    for (int layer = 0; layer < LAYERS; ++layer) {
+        int b = 4 * layer;
+        vec4 u = vec4(coefficients[b].r, coefficients[b + 1].r, coefficients[b + 2].r, coefficients[b + 3].r);
+        for (int c = 0; c < 3; ++c) sum[c] += dot(u, textureLod(basis, vec3(uv, c * LAYERS + layer), 0.0));
     }
     return sum;
 #elif defined(RECONSTRUCT_SELECT)
@@ -27,5 +40,13 @@ vec3 indirect_irradiance(vec2 uv) {
     return column * coefficients[0].rgb;
 #elif defined(RECONSTRUCT_LIGHTMAP)
     return textureLod(basis, vec3(uv, 0.0), 0.0).rgb;
+#endif
+}
+
+vec3 indirect_irradiance(vec2 uv) {
+#ifdef GAMMA
+    return coefficients[COEFFICIENTS - 1].rgb * uncurve(reconstruction(uv));
+#else
+    return reconstruction(uv);
 #endif
 }

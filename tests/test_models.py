@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prt_bench.errors import FitError
-from prt_bench.models import LinearModel, NearestModel
+from prt_bench.models import CoupledModel, LinearModel, NearestModel, interleaved
 
 RNG = np.random.default_rng(0)
 
@@ -34,6 +34,34 @@ def test_a_matrix_per_channel_acts_on_its_own_channel():
 def test_a_matrix_per_channel_refuses_other_channels():
     with pytest.raises(FitError, match="3 channels, but the light has 1"):
         linear(3).transfer(jnp.ones((2, 5, 1)))
+
+
+def test_coupled_model_is_its_formula():
+    basis, weights, x = RNG.normal(size=(9, 3, 4)), RNG.normal(size=(4, 16)), RNG.normal(size=(2, 5, 3))
+    model = CoupledModel(jnp.asarray(basis), jnp.asarray(weights))
+    y = model.reconstruct(model.transfer(jnp.asarray(x)))
+    for n in range(2):
+        rgb_rgb = np.concatenate([x[n, m] for m in range(5)])
+        u = weights @ np.append(rgb_rgb, np.linalg.norm(rgb_rgb))
+        np.testing.assert_allclose(model.transfer(jnp.asarray(x))[n, :, 0], u, atol=1e-13)
+        for c in range(3):
+            np.testing.assert_allclose(y[n, :, c], basis[:, c] @ u, atol=1e-12)
+
+
+def test_coupled_model_is_the_joined_one_taken_apart():
+    joined = LinearModel(jnp.asarray(RNG.normal(size=(18, 4))), jnp.asarray(RNG.normal(size=(1, 4, 11))))
+    x, coupled = RNG.normal(size=(3, 5, 2)), CoupledModel.of(joined, 2)
+    u = joined.transfer(interleaved(jnp.asarray(x)))
+    np.testing.assert_allclose(coupled.transfer(jnp.asarray(x)), u, atol=1e-13)
+    np.testing.assert_allclose(interleaved(coupled.reconstruct(u)), joined.reconstruct(u), atol=1e-13)
+    np.testing.assert_array_equal(coupled.span, joined.span)
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_coupled_channels_refuse_others(channels):
+    model = CoupledModel(jnp.ones((9, 3, 4)), jnp.ones((4, 16)))
+    with pytest.raises(FitError, match=f"couples 3 channels, but the light has {channels}"):
+        model.transfer(jnp.ones((2, 5, channels)))
 
 
 def test_nearest_recalls_its_own_directions_at_any_intensity():

@@ -7,7 +7,9 @@ import jax
 
 from prt_bench.linalg import orthonormal
 from prt_bench.methods.base import Method
-from prt_bench.methods.svd_ridge import SvdRidge
+from prt_bench.methods.examples import training_light
+from prt_bench.methods.linear import warn_of_rank
+from prt_bench.methods.svd_ridge import SvdRidge, fit_svd_ridge
 from prt_bench.models import Observed, ProjectionModel
 
 
@@ -28,5 +30,6 @@ class Projection(Method):
 
     def fit(self, ds: Observed, key: jax.Array | None = None) -> ProjectionModel:
         """Orthonormalise the basis that `svd-ridge` would fit."""
-        model = SvdRidge(basis=self.basis, mean=self.mean).fit(ds, key)
+        model = fit_svd_ridge(*training_light(ds), SvdRidge.ridge, self.basis, self.mean)
+        warn_of_rank(self.label, model)
         return ProjectionModel(orthonormal(model.basis), model.singular_values)

@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from prt_bench.gamma import curve, in_gamma_space, over, root_mean_square
 from prt_bench.linalg import leading_basis
 from prt_bench.methods.base import Method
 from prt_bench.methods.examples import Norm, normalised, training_light
 from prt_bench.methods.linear import linear_model, regress, warn_of_rank
-from prt_bench.models import LinearModel, Observed
+from prt_bench.models import CoupledModel, LinearModel, Model, Observed, interleaved
 
-Transfer = Literal["shared", "per-channel"]
+Transfer = Literal["shared", "per-channel", "coupled"]
 
 
 @dataclass(frozen=True)
@@ -22,9 +23,12 @@ class SvdRidge(Method):
     """The closed-form baseline: u = M x by ridge, y = ‖x‖ μ + U u.
 
     `basis` counts the mean, so 16 is the mean and 15 singular vectors. `ridge` is relative: λ = ridge · ‖X‖²_F / M.
-    `mean` False leaves the mean out, which makes the model additive in the light as well as homogeneous. Colour channels
-    are examples of one basis; `transfer` gives them one matrix or one each. `normalise` says what a lighting's light is
-    divided by in the fit (see `normalised`); the paper's setting is "measured".
+    `mean` False leaves the mean out, which makes the model additive in the light as well as homogeneous. `transfer` says
+    what colour channels are: "shared", examples of one basis and one matrix (the paper's mono-channel form, its choice);
+    "per-channel", examples of one basis with a matrix each; "coupled", parts of one vector with one set of coefficients
+    (its multi-channel form), which takes three times the basis and knows no colours of light but those it was fitted to.
+    `gamma` other than 1 fits and predicts gamma-corrected light (the paper's 2.2; see `prt_bench/gamma.py`). `normalise`
+    says what a lighting's light is divided by in the fit (see `normalised`); the paper's setting is "measured".
     """
 
     name: ClassVar[str] = "svd-ridge"
@@ -35,19 +39,29 @@ class SvdRidge(Method):
     ridge: float = 1e-3
     mean: bool = True
     transfer: Transfer = "shared"
+    gamma: float = 1.0
     normalise: Norm = "indirect"
 
     def __post_init__(self) -> None:
         self.require(self.basis >= 1, "basis", "at least 1")
         self.require(0 <= self.ridge < float("inf"), "ridge", "zero or a positive number")
+        self.require(0 < self.gamma < float("inf"), "gamma", "a positive number")
 
-    def fit(self, ds: Observed, key: jax.Array | None = None) -> LinearModel:
+    def fit(self, ds: Observed, key: jax.Array | None = None) -> Model:
         """Fit in closed form. Warns when the data do not determine that many basis functions."""
         measured, indirect = training_light(ds)
+        channels = measured.shape[2]
+        coupled = self.transfer == "coupled" and channels > 1
+        if coupled:
+            measured, indirect = interleaved(measured), interleaved(indirect)
+        if self.gamma != 1:
+            size = root_mean_square(measured)
+            measured, indirect = (curve(over(light, size), self.gamma) for light in (measured, indirect))
         per_channel = self.transfer == "per-channel"
         model = fit_svd_ridge(measured, indirect, self.ridge, self.basis, self.mean, per_channel, self.normalise)
         warn_of_rank(self.label, model)
-        return model
+        model = CoupledModel.of(model, channels) if coupled else model
+        return model if self.gamma == 1 else in_gamma_space(model, self.gamma)
 
 
 @partial(jax.jit, static_argnames=("basis", "mean", "per_channel", "normalise"))

@@ -13,7 +13,7 @@ from prt_bench.runtime import shaders
 from prt_bench.runtime.context import check
 from prt_bench.runtime.draw import DrawPass
 from prt_bench.runtime.lights import UploadedLights
-from prt_bench.runtime.transfer import TransferPass
+from prt_bench.runtime.transfer import CHANNELS, TransferPass
 
 if TYPE_CHECKING:
     from prt_bench.runtime.runtime import Runtime
@@ -89,12 +89,17 @@ class LoadedAsset(Indirect):
 
     def __init__(self, runtime: "Runtime", asset: RuntimeAsset) -> None:
         kernels, basis = asset.kernels, asset.arrays["basis"]
-        if kernels["measure"] != "direct" or kernels["reconstruct"] not in ("basis", "select"):
+        reconstruct = kernels["reconstruct"].removeprefix("gamma-")
+        if kernels["measure"] != "direct" or reconstruct not in ("basis", "coupled", "select"):
             raise AssetError(f"{asset.path} has the kernels {kernels}, which this runtime lacks")
-        define = f"RECONSTRUCT_{kernels['reconstruct'].upper()}"
+        if reconstruct == "coupled" and basis.shape[1] != CHANNELS:
+            raise AssetError(f"{asset.path} couples {basis.shape[1]} channels; this runtime has {CHANNELS}")
         transfer_pass = TransferPass(runtime.context, asset, runtime.measurement)
-        sizes = {"LAYERS": -(-basis.shape[1] // 4), "COEFFICIENTS": transfer_pass.slots}
-        super().__init__(runtime, basis, {define: 1, **sizes})
+        layers = -(-basis.shape[-1] // 4)
+        if reconstruct == "coupled":
+            basis = _channels_apart(basis, 4 * layers)
+        defines = {f"RECONSTRUCT_{reconstruct.upper()}": 1, "LAYERS": layers, **transfer_pass.defines}
+        super().__init__(runtime, basis, defines)
         self.asset = asset
         self.transfer_pass = transfer_pass
         check(runtime.context, f"loading {asset.path}")
@@ -114,7 +119,7 @@ class LoadedAsset(Indirect):
         """GPU memory of basis textures (padded texels included), weights and coefficients."""
         return super().bytes + self.transfer_pass.bytes
 
-    def transfer(self, x: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "B 3"]:
+    def transfer(self, x: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "B C"]:
         """Coefficients of a measured vector, by the transfer pass."""
         self.runtime.measurement.write(x)
         self.transfer_pass.run()
@@ -125,3 +130,8 @@ class LoadedAsset(Indirect):
         """Transfer and reconstruction at the receivers, for comparison with the model, W/m²."""
         self.transfer(x)
         return self.receiver_values()
+
+
+def _channels_apart(basis: Float[np.ndarray, "T C B"], size: int) -> Float[np.ndarray, "T columns"]:
+    """Each channel's functions side by side, padded to `size` with zeros so that every channel begins a layer."""
+    return np.pad(basis, ((0, 0), (0, 0), (0, size - basis.shape[2]))).reshape(len(basis), -1)

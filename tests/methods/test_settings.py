@@ -68,9 +68,11 @@ def test_two_methods_of_one_name_are_refused(plug_in):
         ("svd-ridge", {"ridge": -1.0}, "'ridge' must be zero or a positive number, not -1.0"),
         ("svd-ridge", {"ridge": float("nan")}, "'ridge' must be zero or a positive number, not nan"),
         ("svd-ridge", {"ridge": "small"}, "'ridge' must be a number, not 'small'"),
+        ("svd-ridge", {"gamma": 0.0}, "'gamma' must be a positive number, not 0.0"),
+        ("svd-ridge", {"gamma": float("inf")}, "'gamma' must be a positive number, not inf"),
         ("svd-ridge", {"mean": 1}, "'mean' must be true or false, not 1"),
-        ("svd-ridge", {"transfer": "both"}, "'transfer' must be 'shared' or 'per-channel', not 'both'"),
-        ("operator-ridge", {"prior": 1.5}, "'prior' must be from 0 to 1, not 1.5"),
+        ("svd-ridge", {"transfer": "both"}, "'transfer' must be 'shared' or 'per-channel' or 'coupled', not 'both'"),
+        ("operator-ridge", {"prior": 1.5}, "'prior' must be from 0 to 1, or 'auto', not 1.5"),
         ("projection", {"basis": -3}, "'basis' must be at least 1, not -3"),
         ("mean", {"basis": 3}, "has no setting 'basis'"),
     ],
@@ -87,6 +89,7 @@ def test_labels_tell_rows_apart():
         prt.method("svd-ridge", basis=4).label,
         prt.method("svd-ridge", ridge=1e-2).label,
         prt.method("svd-ridge", mean=False).label,
+        prt.method("svd-ridge", transfer="coupled", gamma=2.2).label,
         prt.method("operator-ridge").label,
     ]
     assert labels == [
@@ -94,6 +97,7 @@ def test_labels_tell_rows_apart():
         "svd-ridge b4",
         "svd-ridge b16 ridge=0.01",
         "svd-ridge b16 mean=False",
+        "svd-ridge b16 coupled gamma=2.2",
         "operator-ridge b16",
     ]
 

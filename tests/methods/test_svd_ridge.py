@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import prt_bench as prt
+from prt_bench.contract import CHECKS, example_dataset
 from prt_bench.errors import FitError
 from prt_bench.metrics import relative_rmse
 
@@ -188,6 +189,68 @@ def test_a_matrix_per_channel_learns_what_a_shared_one_cannot():
         for transfer in ("shared", "per-channel")
     }
     assert errors["per-channel"] < 1e-4 < 0.1 < errors["shared"]
+
+
+def test_colours_unseen_in_training():
+    """H3, Fig. 5 of the paper: taught by white lights, channels as examples survive coloured ones, coupled ones do not."""
+    ds = example_dataset(lightings=64, measurements=48)
+    lit, test = ds.split("train"), ds.split("test")
+    colour, held_out = (np.array([lighting.lights[0].intensity for lighting in part.lightings]) for part in (lit, test))
+    seen = colour.any(axis=1)
+    white = SimpleNamespace(
+        measured=lit.measured[seen] / colour[seen, None], indirect=lit.indirect[seen] / colour[seen, None]
+    )
+    colours = {"white": 1.0 / held_out[:, None], "red": np.array([1.0, 0.1, 0.1]) / held_out[:, None]}
+    errors = {
+        (transfer, name): error(
+            prt.method("svd-ridge", basis=16, mean=False, transfer=transfer).fit(white),
+            SimpleNamespace(measured=test.measured * factor, indirect=test.indirect * factor),
+        )
+        for transfer in ("shared", "per-channel", "coupled")
+        for name, factor in colours.items()
+    }
+    assert errors["coupled", "white"] < errors["shared", "white"] < 0.3
+    for transfer in ("shared", "per-channel"):
+        assert errors[transfer, "red"] < 1.2 * errors[transfer, "white"]
+    assert errors["coupled", "red"] > 2.5 * errors["coupled", "white"]
+
+
+def test_coupled_channels_learn_that_channels_mix():
+    """What each channel receives may depend on all three, which no other form can say: fluorescence, for one."""
+    train, test = synthetic(channels=3), synthetic(channels=3, seed=1)
+    mixing = np.random.default_rng(4).normal(size=(3, 3))
+
+    def mixed(ds):
+        return SimpleNamespace(measured=ds.measured, indirect=np.einsum("cd,ntd->ntc", mixing, ds.indirect))
+
+    errors = {
+        transfer: error(
+            prt.method(
+                "svd-ridge", basis=13 if transfer == "per-channel" else 37, mean=False, transfer=transfer, ridge=1e-10
+            ).fit(mixed(train)),
+            mixed(test),
+        )
+        for transfer in ("per-channel", "coupled")
+    }
+    assert errors["coupled"] < 1e-4 < 0.05 < errors["per-channel"]
+
+
+def test_the_error_of_coupled_channels_splits_at_its_own_projection():
+    ds = example_dataset()
+    model = prt.method("svd-ridge", basis=8, mean=False, transfer="coupled").fit(ds.split("train"))
+    found = prt.evaluate(model, ds.split("test")).errors
+    assert 0.01 < found.projection < found.relative_rmse
+    assert found.projection**2 + found.coefficient**2 == pytest.approx(found.relative_rmse**2, rel=1e-4)
+
+
+def test_one_channel_coupled_is_the_plain_form():
+    coupled = prt.method("svd-ridge", basis=8, transfer="coupled").fit(TRAIN)
+    np.testing.assert_array_equal(coupled.predict(TEST), prt.method("svd-ridge", basis=8).fit(TRAIN).predict(TEST))
+
+
+@pytest.mark.parametrize("holds", ["shapes", "one channel", "ships", "fit gradient"])
+def test_contract_of_coupled_channels(holds):
+    CHECKS[holds](prt.method("svd-ridge", basis=8, transfer="coupled"), example_dataset())
 
 
 @pytest.mark.parametrize("case", ["plain", "duplicates", "black", "symmetric"])

@@ -1,5 +1,6 @@
 """Datasets for the runtime's tests, made by hand: no ray is traced, every quad of a scene has its own square chart."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,8 @@ from data_gen.scenes import load_scene
 from prt_bench.assets import write_asset
 from prt_bench.dataset import LightingDataset, Transport
 from prt_bench.errors import RuntimeUnavailable
-from prt_bench.models import LinearModel, NearestModel
+from prt_bench.gamma import GammaModel, in_gamma_space
+from prt_bench.models import CoupledModel, LinearModel, NearestModel
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.runtime import Runtime, headless
 from prt_bench.scene import Scene
@@ -67,6 +69,21 @@ def linear_model(ds: LightingDataset, basis: int, channels: int = 1, seed: int =
     keys = jax.random.split(jax.random.key(seed), 2)
     shape = (channels, basis, len(ds.groups) + 1)
     return LinearModel(jax.random.normal(keys[0], (len(ds.points), basis)), jax.random.normal(keys[1], shape))
+
+
+def coupled_model(ds: LightingDataset, basis: int, channels: int = 3, seed: int = 0) -> CoupledModel:
+    """A random basis of several channels and random weights."""
+    keys = jax.random.split(jax.random.key(seed), 2)
+    return CoupledModel(
+        jax.random.normal(keys[0], (len(ds.points), channels, basis)),
+        jax.random.normal(keys[1], (basis, channels * len(ds.groups) + 1)),
+    )
+
+
+def gamma_model(model: LinearModel | CoupledModel, gamma: float = 2.2) -> GammaModel:
+    """The same in gamma space, with weights for predictions of the size of light."""
+    damped = eqx.tree_at(lambda model: model.weights, model, 0.05 * model.weights)
+    return in_gamma_space(damped, gamma)
 
 
 def nearest_model(ds: LightingDataset, columns: int, seed: int = 0) -> NearestModel:

@@ -23,7 +23,7 @@ from prt_bench.runtime import Runtime
 from prt_bench.runtime.projection import corners
 from prt_bench.runtime.views import shadow_views
 
-from .conftest import linear_model, nearest_model, quad_dataset
+from .conftest import coupled_model, gamma_model, linear_model, nearest_model, quad_dataset
 
 pytestmark = pytest.mark.gl
 
@@ -152,12 +152,63 @@ def test_linear_assets_predict_as_in_jax(dtype, channels, basis, cornell, runtim
     assert relative(loaded.predict(x), np.asarray(model.reconstruct(u)[0])) < 1e-5
 
 
+def test_coupled_channels_predict_as_in_jax(cornell, runtime, export):
+    for basis, dtype in ((1, "float32"), (6, "float16"), (16, "float32")):
+        asset = export(coupled_model(cornell, basis), dtype)
+        x = np.random.default_rng(basis).random((len(cornell.groups), 3)).astype(np.float32)
+        model, loaded = asset.model(), runtime.load(asset)
+        u = model.transfer(jnp.asarray(x[None]))
+        assert loaded.transfer(x).shape == u.shape[1:] == (basis, 1)
+        assert relative(loaded.transfer(x), np.asarray(u[0])) < 1e-5
+        assert relative(loaded.predict(x), np.asarray(model.reconstruct(u)[0])) < 1e-5
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+@pytest.mark.parametrize("form", ["shared", "per-channel", "coupled"])
+def test_gamma_space_predicts_as_in_jax(form, dtype, cornell, runtime, export):
+    """Bright, dark, unlit and negative values at once; a channel of its own may be black."""
+    plain = {
+        "shared": lambda: linear_model(cornell, 6),
+        "per-channel": lambda: linear_model(cornell, 6, 3),
+        "coupled": lambda: coupled_model(cornell, 6),
+    }[form]()
+    asset = export(gamma_model(plain), dtype)
+    rng = np.random.default_rng(7)
+    x = (rng.normal(size=(len(cornell.groups), 3)) * 10.0 ** rng.uniform(-5, 1, (len(cornell.groups), 3))).astype("f4")
+    x[::3], x[:, 2] = 0.0, 0.0
+    model, loaded = asset.model(), runtime.load(asset)
+    u = model.transfer(jnp.asarray(x[None]))
+    assert relative(loaded.transfer(x), np.asarray(u[0])) < 1e-5
+    found, wanted = loaded.predict(x), np.asarray(model.reconstruct(u)[0])
+    assert (wanted < 0).any()
+    assert relative(found, wanted) < 1e-4
+    linear = np.asarray(plain.reconstruct(plain.transfer(jnp.asarray(x[None])))[0])
+    assert relative(0.05 * linear, wanted) > 0.5
+
+
+def test_coupling_of_other_than_three_channels_is_refused(cornell, runtime, export):
+    with pytest.raises(AssetError, match="couples 2 channels"):
+        runtime.load(export(coupled_model(cornell, 4, channels=2)))
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-25, 1e25])
-def test_transfer_is_homogeneous_at_any_brightness(scale, cornell, runtime, export):
-    loaded = runtime.load(export(linear_model(cornell, 4)))
+@pytest.mark.parametrize("form", [linear_model, coupled_model])
+def test_transfer_is_homogeneous_at_any_brightness(form, scale, cornell, runtime, export):
+    loaded = runtime.load(export(form(cornell, 4)))
     x = np.random.default_rng(3).random((len(cornell.groups), 3)).astype(np.float32)
     wanted = loaded.transfer(x) * np.float32(scale)
     np.testing.assert_allclose(loaded.transfer(x * np.float32(scale)), wanted, rtol=1e-4)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-25, 1e25])
+def test_gamma_space_is_homogeneous_at_any_brightness(scale, cornell, runtime, export):
+    loaded = runtime.load(export(gamma_model(linear_model(cornell, 4))))
+    x = np.random.default_rng(3).random((len(cornell.groups), 3)).astype(np.float32)
+    plain, scaled = loaded.predict(x), loaded.predict(x * np.float32(scale))
+    if scale == 0.0:
+        assert not scaled.any()
+    else:
+        assert relative(scaled / np.float32(scale), plain) < 1e-5
 
 
 def test_nearest_assets_predict_as_in_jax(cornell, runtime, export):
@@ -181,6 +232,8 @@ def test_assets_of_another_dataset_are_refused(cornell, runtime, export):
     other = quad_dataset(cornell.scene, measurements=32)
     with pytest.raises(AssetError, match="measurement points"):
         runtime.load(export(linear_model(other, 4)))
+    with pytest.raises(AssetError, match="32 measurement points"):
+        runtime.load(export(coupled_model(other, 4)))
 
 
 def test_bytes_on_the_gpu(cornell, runtime, export):
@@ -189,3 +242,5 @@ def test_bytes_on_the_gpu(cornell, runtime, export):
     others = 4 * 6 * 65 + 16 * 8
     assert whole.bytes == texels * 8 * 4 + others
     assert half.bytes == texels * 8 * 2 + others
+    coupled = runtime.load(export(coupled_model(cornell, 6)))
+    assert coupled.bytes == texels * 3 * 8 * 4 + 4 * 6 * (3 * 64 + 1) + 16 * 8
