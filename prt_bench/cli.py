@@ -176,14 +176,16 @@ def _check_method(args: argparse.Namespace) -> None:
 
 def _stability(args: argparse.Namespace) -> int:
     """Exit status 1 when a goal is missed."""
-    from prt_bench.stability import board, table
+    from prt_bench.stability import board, mutants, table
 
-    chosen = board.selected(args.case)
-    cells = board.run(chosen, args.route)
-    found = board.goals(cells)
-    table.show(_out, cells, (), found)
     if args.out:
-        _out.print(f"scoreboard: {board.write(args.out, cells)}", highlight=False, soft_wrap=True)
+        board.check_target(args.out)  # before minutes of work
+    cells = board.run(board.selected(args.case), args.route)
+    killed = mutants.kills() if args.mutations else ()
+    found = board.goals(cells, killed)
+    table.show(_out, cells, killed, found)
+    if args.out:
+        _out.print(f"scoreboard: {board.write(args.out, cells, killed)}", highlight=False, soft_wrap=True)
     return int(not all(goal.met for goal in found))
 
 
@@ -285,6 +287,7 @@ def _parser() -> argparse.ArgumentParser:
         "--case", action="append", default=[], metavar="KEY", help="only this case of the catalogue, as A2"
     )
     made.add_argument("--route", action="append", default=[], choices=("f64", "f32", "f32 from f16", "f32 from bf16"))
+    made.add_argument("--mutations", action="store_true", help="also put naive formulas in place of the sound ones")
     made.add_argument("--out", type=Path, help="a run's folder, whose report then shows the scoreboard, or a JSON file")
     command("doctor", _doctor, "what this machine offers, and what is missing for what")
     return parser

@@ -25,6 +25,7 @@ from prt_bench.report.embed import LEVELS, Pair, embed
 from prt_bench.report.frontier import COST_AXES, ERROR_AXES, METRICS, Row, frontier
 from prt_bench.report.leaderboard import COLUMNS, figure, status, write_text
 from prt_bench.report.ranking import TIE_RULE, Group, groups
+from prt_bench.report.stability import read_scoreboard
 
 PICTURE_BUDGET = 9_000_000
 """Bytes for all embedded HDR pictures together: they shrink until they fit, which keeps the page under 15 MB."""
@@ -59,6 +60,7 @@ def write_report(run_dir: Path) -> Path:
         plans=_plans(run_dir, board),
         machines=_machines(board),
         assets=_assets(board),
+        stability=read_scoreboard(run_dir),
         bands=[(band, len(list(members))) for band, members in itertools.groupby(COLUMNS, lambda column: column.band)],
         tie_rule=TIE_RULE,
         plotly=Markup(get_plotlyjs()),

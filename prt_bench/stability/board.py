@@ -101,13 +101,19 @@ def _share(name: str, asked: Sequence[Cell], failed: Sequence[Cell]) -> Goal:
 
 def write(path: Path, cells: Sequence[Cell], kills: Sequence[Kill] = ()) -> Path:
     """Write the scoreboard as JSON: into a folder as `stability.json`, else to the file named."""
-    target = path / FILE if path.is_dir() else path
-    if not target.parent.is_dir():
-        raise SpecError(f"{target.parent} is not a folder; --out takes a run's folder or a file in an existing one")
+    target = check_target(path)
     text = json.dumps(as_json(cells, kills), indent=1, ensure_ascii=False)
     partial = target.with_name(target.name + ".partial")
     partial.write_text(text + "\n", encoding="utf-8")
     partial.replace(target)
+    return target
+
+
+def check_target(path: Path) -> Path:
+    """The file that `write` would write. Raises `SpecError` where there is no folder for it."""
+    target = path / FILE if path.is_dir() else path
+    if not target.parent.is_dir():
+        raise SpecError(f"{target.parent} is not a folder; --out takes a run's folder or a file in an existing one")
     return target
 
 

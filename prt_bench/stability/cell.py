@@ -113,11 +113,11 @@ def case(
 
 
 def run_cell(hard: Case, subject: str, route: Route, most: int | None = None) -> Cell:
-    """Judge every member of a case's family, or `most` evenly spread ones. Never raises for what the subject does wrong."""
+    """Judge every member of a case's family, or `most` drawn from it. Never raises for what the subject does wrong."""
     tested = hard.subjects()[subject]
     members = list(hard.family(route))
-    chosen = members if most is None else members[:: -(-len(members) // most)]
-    verdicts = [_judge(hard, tested, member, route) for member in chosen]
+    drawn = np.random.default_rng(0).permutation(len(members))[:most]
+    verdicts = [_judge(hard, tested, members[index], route) for index in drawn]
     order = list(Outcome)
     worst = max(verdicts, key=lambda verdict: (order.index(verdict.outcome), verdict.margin))
     outcome = worst.outcome

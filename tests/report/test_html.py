@@ -264,3 +264,23 @@ def test_settings_that_share_singular_values_are_drawn_once(page):
     for group in Page(page).data["groups"]:
         assert sorted(curve["method"] for curve in group["curves"]) == ["operator-ridge", "svd-ridge"]
         assert all(curve["values"][0] == 1 for curve in group["curves"])
+
+
+def test_the_stability_scoreboard_is_a_section_where_the_run_has_one(tmp_path, make_record):
+    record_files.append(tmp_path / "records.jsonl", make_record())
+    assert 'id="stability"' not in write_report(tmp_path).read_text()
+    cell = {"case": "A2", "title": "ridge of <hard> matrices", "kind": "value", "subject": "ridge", "route": "f64",
+            "outcome": "failed silently", "members": 4, "headroom": 23.0, "worst": "Hilbert: error 2, bound 1"}  # fmt: skip
+    board = {
+        "schema": 1, "cells": [cell, {**cell, "outcome": "passed", "route": "f32"}], "mutants": [],
+        "goals": [{"name": "pass rate", "value": "50 %", "goal": "100 %", "met": False, "missed": []}],
+        "provenance": {"commit": "abc"},
+    }  # fmt: skip
+    (tmp_path / "stability.json").write_text(json.dumps(board))
+    page = write_report(tmp_path).read_text()
+    section = page[page.index('id="stability"') :]
+    for told in ("ridge of &lt;hard&gt; matrices", "0/1", "1/1", "23", "missed", "Hilbert: error 2, bound 1"):
+        assert told in section
+    (tmp_path / "stability.json").write_text('{"schema": 7}')
+    with pytest.raises(DatasetError, match="not a stability scoreboard"):
+        write_report(tmp_path)

@@ -1,7 +1,7 @@
 """Naive formulas put in place of the sound ones: the cases must notice. What keeps the scoreboard from being vacuous.
 
 One file per topic; every `Mutant` in them is found. Compiled formulas are dropped before and after a mutant, so that none
-outlives the patch. A mutant counts as killed only by cells that hold without it, on a spread of their members.
+outlives the patch. A mutant counts as killed only by cells that hold without it, on some of their members.
 """
 
 import pkgutil
@@ -21,7 +21,6 @@ from prt_bench.stability.board import HEADROOM, Kill
 from prt_bench.stability.cases import cases
 from prt_bench.stability.cell import Case, Cell, run_cell
 from prt_bench.stability.routes import F32, F64, Route
-
 
 _MEMBERS = 16
 """Members of each family that a mutant is shown."""
