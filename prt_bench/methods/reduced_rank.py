@@ -23,13 +23,13 @@ _SIZING = 16  # basis functions that tell the size of a lighting's indirect ligh
 
 @dataclass(frozen=True)
 class ReducedRank(Method):
-    """The rank-B map W = U Uᵀ 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)⁻¹ with the least expected error under the covariance Σ of direct light.
+    """u = Uᵀ W x with W = 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)⁻¹, and U the principal components of W x instead of those of the indirect light.
 
-    Σ is that of the streamed lightings, each over the size of its indirect light, with a share `prior` of surface patterns
-    as in `operator-ridge`. U are the leading left singular vectors of 𝒮 Σ Aᵀ (A Σ Aᵀ + λ)^(−1/2): what can be told from the
-    measured light, where principal components hold what varies, told or not. `ridge` is relative to the trace; "auto" takes
-    the one with the least error of the unreduced map on the training lightings. The map is linear. The dataset must be
-    baked with `streamed` lightings.
+    They hold what can be told from the measured light, where components of the light itself hold what varies, told or not;
+    no map of rank B comes closer to the streamed lightings as λ → 0. Σ is their covariance, each over the size of its
+    indirect light, with a share `prior` of surface patterns as in `operator-ridge`; U is of the lightings alone. `ridge` is
+    relative to the trace; "auto" takes the one with the least error of W on the training lightings. The map is linear. The
+    dataset must be baked with `streamed` lightings.
     """
 
     name: ClassVar[str] = "reduced-rank"
@@ -60,11 +60,16 @@ class ReducedRank(Method):
 
 
 class _Factors(NamedTuple):
-    """A Σ Aᵀ = p s² pᵀ, and the light [T, C, M] that the patterns behind each direction of p cause, over s."""
+    """W = `response` · diag(s / (s² + λ)) · pᵀ in each channel, and a square root of the lightings' own A Σ Aᵀ."""
 
     p: Float[Array, "M M"]
     s: Float[Array, " M"]
     response: Float[np.ndarray, "T C M"]
+    root: Float[Array, "M k"]
+
+    def after(self, damping: Array) -> Float[Array, "M M"]:
+        """diag(s / (s² + λ)) · pᵀ."""
+        return (self.s / (self.s**2 + damping))[:, None] * self.p.T
 
 
 def _factors(ds: LightingDataset, examples: Examples, patterns: Columns, share: float) -> _Factors:
@@ -79,7 +84,8 @@ def _factors(ds: LightingDataset, examples: Examples, patterns: Columns, share: 
     direct = of_patterns * patterns.direct @ rest
     for rows, light in streamed_blocks(ds):
         direct += light @ lightings[rows]
-    return _Factors(p, s, respond(ds.transport, albedo, direct.astype(np.float32)))
+    root = jnp.linalg.qr(jnp.asarray(of_lightings * x.T, jnp.float64), mode="r").T
+    return _Factors(p, s, respond(ds.transport, albedo, direct.astype(np.float32)), root)
 
 
 def _weights(ds: LightingDataset, adjoint: Float[Array, "C S B"]) -> Float[np.ndarray, " n"]:
@@ -93,7 +99,7 @@ def _weights(ds: LightingDataset, adjoint: Float[Array, "C S B"]) -> Float[np.nd
 def _error(factors: _Factors, examples: Examples, damping: Array) -> Array:
     """Squared error of the map of full rank on the training lightings."""
     channels = factors.response.shape[1]
-    seen = jnp.matmul(_filtered(factors.s, damping, 1.0)[:, None] * factors.p.T, examples.x, precision="highest")
+    seen = jnp.matmul(factors.after(damping), examples.x, precision="highest")
 
     def missed(c: int) -> Array:
         light = jnp.matmul(jnp.asarray(factors.response[:, c], jnp.float64), seen[:, c::channels], precision="highest")
@@ -104,15 +110,9 @@ def _error(factors: _Factors, examples: Examples, damping: Array) -> Array:
 
 def _reduced(factors: _Factors, damping: Array, count: int) -> tuple[Array, Array, None, Array]:
     """Basis, one matrix per channel, no centre, and singular values."""
-    half = _filtered(factors.s, damping, 0.5)
-    light = jnp.asarray(factors.response, jnp.float64) * half
-    flat = light.reshape(len(light), -1)
+    light, after = jnp.asarray(factors.response, jnp.float64), factors.after(damping)
+    told = jnp.matmul(light, jnp.matmul(after, factors.root, precision="highest"), precision="highest")
+    flat = told.reshape(len(told), -1)
     u, values = leading_basis(flat, count, rounding_floor(flat, jnp.float32))
-    after = (1.0 / jnp.sqrt(factors.s**2 + damping))[:, None] * factors.p.T
     matrix = jnp.einsum("tb,tcm->cbm", u, light, precision="highest")
     return u, jnp.matmul(matrix, after, precision="highest"), None, values
-
-
-def _filtered(s: Float[Array, " M"], damping: Array, power: float) -> Float[Array, " M"]:
-    """s / (s² + λ)^power."""
-    return s / (s**2 + damping) ** power
