@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import zarr
 
+from data_gen.hull import hull_scene
 from data_gen.journal import content_key, create_array, data_folder, resumable
 from data_gen.light import LightPass
-from data_gen.plan import plan
+from data_gen.plan import MeasureOn, plan
 from data_gen.sampling import measurement_points, on_pose
 from data_gen.scenarios import check_lightings, sample_lightings
 from data_gen.stream import write_streamed
@@ -50,6 +51,7 @@ def bake(
     gather_texels: int | None = None,
     layout: LightingDataset | None = None,
     streamed: int = 0,
+    measure_on: MeasureOn = "surface",
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -64,6 +66,8 @@ def bake(
 
     `streamed` more lightings of the scenario are kept as direct light alone (`LightingDataset.streamed`), for methods that
     learn from thousands of lightings through the traced operator.
+
+    Direct light is measured on the surface, or, with `measure_on` "hull", around the bodies (see `hull_scene`).
 
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
@@ -84,8 +88,11 @@ def bake(
         ood,
         workers,
         streamed,
+        measure_on,
     )
     if layout is not None:
+        if "hull" in (measure_on, layout.metadata.get("measure_on")):
+            raise SpecError("a hull has no places that another pose could keep; measure poses on the surface")
         _check_layout(scene, layout, {"texels": texels, "measurements": measurements, "supersampling": supersampling})
     atlas = None if layout is None else layout.transport
     folder = Path(out) if out is not None else data_folder()
@@ -98,6 +105,7 @@ def bake(
         "scenario": scenario,
         "lightings": lightings,
         **({"streamed": streamed} if streamed else {}),
+        **({} if measure_on == "surface" else {"measure_on": measure_on}),
         "measurements": measurements,
         "supersampling": supersampling,
         "ood": list(ood),
@@ -114,7 +122,8 @@ def bake(
     lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
     further = sample_lightings(scene, scenario, streamed, [seed, 2], tracer) if streamed else ()
     if layout is None:
-        points = measurement_points(scene, measurements, supersampling, seed, tracer)
+        place = hull_scene(scene, tracer) if measure_on == "hull" else scene
+        points = measurement_points(place, measurements, supersampling, seed, tracer)
     else:
         points = (on_pose(scene, layout.measurement_points), on_pose(scene, layout.dense_points), layout.groups)
     tracing = time.perf_counter()

@@ -3,12 +3,14 @@
 import time
 from dataclasses import dataclass, replace
 from math import ceil, log
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from data_gen.hull import check_hull
 from data_gen.sampling import check_measurements
 from data_gen.scenarios import check_scenario
 from data_gen.tracer import Tracer
@@ -19,6 +21,7 @@ from prt_bench.scene import Scene
 from prt_bench.transport import GatherOperator
 
 MOST_BOUNCES = 256
+MeasureOn = Literal["surface", "hull"]
 _GATHER_TEXELS = 256
 _LIGHT_SAMPLES = {"area": AREA_SAMPLES, "environment": ENVIRONMENT_SAMPLES}
 _COVERAGE = 0.75  # share of lightmap texels that charts cover, for predictions
@@ -107,11 +110,13 @@ def plan(
     ood: tuple[str, ...] = (),
     workers: int | None = None,
     streamed: int = 0,
+    measure_on: MeasureOn = "surface",
 ) -> Plan:
     """Decide what baking `scene` needs.
 
     `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light. Raises
-    `SpecError` for settings that cannot be baked and `SceneError` for more measurement points than the surface can hold.
+    `SpecError` for settings that cannot be baked and `SceneError` for more measurement points than the surface can hold,
+    or for a hull where there is no body.
     """
     for name, value, least in (("lightings", lightings, 1), ("texels", texels, 8), ("gather_texels", gather_texels, 8),
                                ("measurements", measurements, 1), ("supersampling", supersampling, 1),
@@ -121,6 +126,10 @@ def plan(
     for name in (scenario, *ood):
         check_scenario(name)
     check_measurements(scene, measurements, supersampling)
+    if measure_on not in get_args(MeasureOn):
+        raise SpecError(f"measure_on must be {' or '.join(map(repr, get_args(MeasureOn)))}, not {measure_on!r}")
+    if measure_on == "hull":
+        check_hull(scene)
     if rays < 2 or rays % 2:
         raise SpecError(f"rays is {rays}, but it must be an even number from 2 up: the two halves measure the noise")
     if not 0 < tolerance < 1:

@@ -181,7 +181,7 @@ def _stability(args: argparse.Namespace) -> int:
     if args.out:
         board.check_target(args.out)  # before minutes of work
     cells = board.run(board.selected(args.case), args.route)
-    killed = mutants.kills() if args.mutations else ()
+    killed = mutants.kills(known=cells) if args.mutations else ()
     found = board.goals(cells, killed)
     table.show(_out, cells, killed, found)
     if args.out:
@@ -197,7 +197,7 @@ def _doctor(_: argparse.Namespace) -> None:
 
 def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
     names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels",
-             "streamed")  # fmt: skip
+             "streamed", "measure_on")  # fmt: skip
     return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood)}
 
 
@@ -307,6 +307,7 @@ def _bake_options(made: argparse.ArgumentParser) -> None:
     made.add_argument("--tolerance", type=float, default=1e-4)
     made.add_argument("--gather-texels", type=int)
     made.add_argument("--streamed", type=int, default=0, help="further lightings kept as direct light alone")
+    made.add_argument("--measure-on", choices=("surface", "hull"), default="surface", help="where light is measured")
     made.add_argument("--ood", action="append", default=[], metavar="SCENARIO", help="another scenario to test on")
 
 

@@ -31,6 +31,7 @@ class BakeSpec:
     tolerance: float = 1e-4
     gather_texels: int | None = None
     streamed: int = 0
+    measure_on: str = "surface"
 
 
 @dataclass(frozen=True)
