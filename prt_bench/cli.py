@@ -181,7 +181,7 @@ def _stability(args: argparse.Namespace) -> int:
     if args.out:
         board.check_target(args.out)  # before minutes of work
     cells = board.run(board.selected(args.case), args.route)
-    killed = mutants.kills() if args.mutations else ()
+    killed = mutants.kills(known=cells) if args.mutations else ()
     found = board.goals(cells, killed)
     table.show(_out, cells, killed, found)
     if args.out:

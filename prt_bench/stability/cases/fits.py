@@ -121,7 +121,7 @@ def _low_rank(route: Route) -> Iterator[Member]:
 def _fitting() -> dict[str, Method]:
     return {
         f"{label}, {size} functions": method
-        for size in (4, 12)
+        for size in (12, 4)
         for label, method in subjects("method", basis=size, ridge=1e-12, prior=0.0).items()
     }
 

@@ -50,10 +50,11 @@ def _enclosure(route: Route, albedo: float, rays: int, seed: int, escape: float 
 def solvers() -> dict[str, Any]:
     """What bounces light until less than a tolerance is missing: the bound decides how often, as in the bake."""
 
-    def bounced(enclosure: Enclosure, tolerance: float, most: int = 1600) -> tuple[jax.Array, float]:
+    def bounced(enclosure: Enclosure, tolerance: float) -> tuple[jax.Array, float]:
         gather = GatherOperator.from_hits(enclosure.hits, len(enclosure.hits))
         albedo = jnp.asarray(enclosure.albedo)
-        bounds = tail_bounds(gather, albedo, most)
+        decay = np.clip(float(enclosure.albedo.max()), 1e-3, 0.995)
+        bounds = tail_bounds(gather, albedo, int(np.log(tolerance * (1.0 - decay) / 10) / np.log(decay)) + 2)
         bounces = int(np.flatnonzero(bounds <= tolerance)[0]) + 1
         return indirect(gather, albedo, jnp.asarray(enclosure.direct), bounces)[0, :, 0], float(bounds[bounces - 1])
 
@@ -103,7 +104,7 @@ def _closed(route: Route) -> Iterator[Member]:
 @case("F1", "closed box of albedo 1", kind=Kind.REFUSAL, subjects=solvers, family=_closed)
 def no_decay(solver: Any, enclosure: Enclosure, route: Route) -> bool:
     """F1: the series diverges, and the bound refuses."""
-    solver(enclosure, _TOLERANCE, 64)
+    solver(enclosure, _TOLERANCE)
     return False
 
 

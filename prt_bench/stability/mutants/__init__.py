@@ -55,26 +55,28 @@ def mutants() -> tuple[Mutant, ...]:
     return tuple(value for module in modules for value in vars(module).values() if isinstance(value, Mutant))
 
 
-def kills(chosen: Sequence[Mutant] | None = None, progress: bool = True) -> list[Kill]:
-    """Run every mutant against its cells."""
+_Sound = dict[tuple[str, str, str, str, str], bool]
+
+
+def kills(chosen: Sequence[Mutant] | None = None, known: Sequence[Cell] = (), progress: bool = True) -> list[Kill]:
+    """Run every mutant against its cells. The outcomes of cells that are `known` already are not measured again."""
     chosen = mutants() if chosen is None else chosen
-    sound: dict[tuple[str, str, str, str], bool] = {}
+    sound: _Sound = {(cell.case, cell.title, cell.kind, cell.subject, cell.route): _holds(cell) for cell in known}
     return [_kill(each, sound) for each in (track(chosen, "mutants") if progress else chosen)]
 
 
-def _kill(each: Mutant, sound: dict[tuple[str, str, str, str], bool]) -> Kill:
+def _kill(each: Mutant, sound: _Sound) -> Kill:
     cells = list(_cells(each))
-    for case, subject, route in cells:
-        key = (case.key, case.title + case.kind, subject, route.name)
-        if key not in sound:
-            sound[key] = _holds(run_cell(case, subject, route, _MEMBERS))
+    for cell in cells:
+        if _key(*cell) not in sound:
+            sound[_key(*cell)] = _holds(run_cell(*cell, _MEMBERS))
     with _in_place(each):
-        found = [
-            run_cell(case, subject, route, _MEMBERS)
-            for case, subject, route in cells
-            if sound[case.key, case.title + case.kind, subject, route.name]
-        ]
+        found = [run_cell(*cell, _MEMBERS) for cell in cells if sound[_key(*cell)]]
     return Kill(each.name, each.replaces, tuple(cell.name for cell in found if not _holds(cell)))
+
+
+def _key(case: Case, subject: str, route: Route) -> tuple[str, str, str, str, str]:
+    return case.key, case.title, str(case.kind), subject, route.name
 
 
 def _cells(each: Mutant) -> Iterator[tuple[Case, str, Route]]:

@@ -88,7 +88,7 @@ def factors_fixed(_: Any) -> Any:
     return naive
 
 
-@mutant("ridge computed in float32", _RIDGE, "ridge of conditioned", "error near the projection", subject="")
+@mutant("ridge computed in float32", _RIDGE, "ridge of conditioned")
 def ridge_in_float32(sound: Any) -> Any:
     """Loses what float64 was for."""
 
