@@ -18,7 +18,7 @@ from prt_bench.methods.operator_ridge import RIDGES, Auto
 from prt_bench.methods.prior import Columns, Kind, prior_columns, scale
 from prt_bench.models import LinearModel
 
-_SIZING = 16  # basis functions that tell the size of a lighting's indirect light
+_PROBES = 32  # random vectors that tell the size of a lighting's indirect light to an eighth
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ReducedRank(Method):
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> LinearModel:
         """Fit in closed form; needs the transport and the streamed lightings of `ds`."""
         examples = normalised(*training_light(ds))
-        factors = _factors(ds, examples, prior_columns(ds, self.patterns), self.prior)
+        factors = _factors(ds, prior_columns(ds, self.patterns), self.prior)
         ridges = jnp.asarray(RIDGES if self.ridge == "auto" else (self.ridge,))
         damping = ridges * jnp.sum(factors.s**2) / len(factors.p)
         if len(ridges) > 1:
@@ -72,10 +72,9 @@ class _Factors(NamedTuple):
         return (self.s / (self.s**2 + damping))[:, None] * self.p.T
 
 
-def _factors(ds: LightingDataset, examples: Examples, patterns: Columns, share: float) -> _Factors:
+def _factors(ds: LightingDataset, patterns: Columns, share: float) -> _Factors:
     albedo = fit_albedo(ds)
-    u, _ = leading_basis(examples.y, _SIZING, examples.floor)
-    weight = np.asarray(_weights(ds, importance(ds.transport, albedo, u)))
+    weight = streamed_weights(ds, albedo)
     x = ds.streamed.measured.T * weight
     of_lightings, of_patterns = float(scale(1.0 - share, x)), float(scale(share, patterns.measured))
     p, s, qt = svd(jnp.concatenate([of_lightings * x, of_patterns * patterns.measured], axis=1))
@@ -88,10 +87,13 @@ def _factors(ds: LightingDataset, examples: Examples, patterns: Columns, share: 
     return _Factors(p, s, respond(ds.transport, albedo, direct.astype(np.float32)), root)
 
 
-def _weights(ds: LightingDataset, adjoint: Float[Array, "C S B"]) -> Float[np.ndarray, " n"]:
-    """One over the size of each streamed lighting's indirect light; 0 where it causes none."""
+def streamed_weights(ds: LightingDataset, albedo: Float[Array, "S C"]) -> Float[np.ndarray, " n"]:
+    """One over the size of each streamed lighting's indirect light, estimated with random probes ω as the root mean square
+    of ωᵀ 𝒮 E (Hutchinson 1990); 0 where it causes none."""
+    probes = np.random.default_rng(0).normal(size=(len(ds.transport.receivers), _PROBES))
+    adjoint = importance(ds.transport, albedo, jnp.asarray(probes))
     sizes = [np.linalg.norm(coefficients(adjoint, direct), axis=(0, 1)) for _, direct in streamed_blocks(ds)]
-    size = np.concatenate(sizes)
+    size = np.concatenate(sizes) / _PROBES**0.5
     return np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0).astype(np.float32)
 
 

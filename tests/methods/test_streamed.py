@@ -9,9 +9,8 @@ import pytest
 import prt_bench as prt
 from prt_bench.errors import DatasetError
 from prt_bench.example import example_dataset
-from prt_bench.linalg import leading_basis
-from prt_bench.methods.examples import normalised
 from prt_bench.methods.operator import fit_albedo, importance
+from prt_bench.methods.reduced_rank import streamed_weights
 from prt_bench.methods.streamed_ridge import streamed_examples
 
 DATASET = example_dataset()
@@ -21,13 +20,6 @@ NAMES = ("streamed-ridge", "reduced-rank")
 
 def streaming(direct, measured):
     return replace(DATASET, arrays={**DATASET.arrays, "streamed_direct": direct, "streamed_measured": measured})
-
-
-def _sizes(ds):
-    examples = normalised(TRAIN.measured, TRAIN.indirect)
-    u, _ = leading_basis(examples.y, 16, examples.floor)
-    adjoint = np.asarray(importance(ds.transport, fit_albedo(ds), u), float)
-    return np.linalg.norm(np.einsum("csb,ns->ncb", adjoint, ds.arrays["streamed_direct"]), axis=(1, 2))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -65,8 +57,8 @@ def test_streaming_the_training_lightings_is_svd_ridge():
 
 def test_reduced_rank_has_the_least_error_of_its_rank():
     """Its expected error under the streamed lightings against other maps of the same rank from the same examples."""
-    size = _sizes(DATASET)
-    x, direct = DATASET.streamed.measured / size[:, None], DATASET.arrays["streamed_direct"] / size[:, None]
+    weight = streamed_weights(DATASET, fit_albedo(DATASET))[:, None]
+    x, direct = DATASET.streamed.measured * weight, DATASET.arrays["streamed_direct"] * weight
     adjoint = np.asarray(importance(DATASET.transport, fit_albedo(DATASET), jnp.eye(len(DATASET.points))))
     light = np.einsum("cst,ns->ntc", adjoint, direct)
 
@@ -91,8 +83,8 @@ def test_reduced_rank_has_the_least_error_of_its_rank():
 
 def test_reduced_rank_of_full_rank_is_the_ridge_regression():
     """Spelled out by normal equations on the streamed lightings, for all receivers at once."""
-    size = _sizes(DATASET)
-    x, direct = (light / size[:, None] for light in (DATASET.streamed.measured, DATASET.arrays["streamed_direct"]))
+    weight = streamed_weights(DATASET, fit_albedo(DATASET))[:, None]
+    x, direct = (light * weight for light in (DATASET.streamed.measured, DATASET.arrays["streamed_direct"]))
     adjoint = np.asarray(importance(DATASET.transport, fit_albedo(DATASET), jnp.eye(len(DATASET.points))), float)
     measurements = x.shape[1]
     model = prt.method("reduced-rank", basis=3 * measurements, ridge=1e-2, prior=0.0).fit(TRAIN)
@@ -102,6 +94,13 @@ def test_reduced_rank_of_full_rank_is_the_ridge_regression():
         expected = adjoint[c].T @ direct.T @ x @ inverse
         found = np.asarray(model.basis) @ np.asarray(model.weights)[c, :, :-1]
         np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_weights_are_one_over_the_size_of_the_indirect_light():
+    adjoint = np.asarray(importance(DATASET.transport, fit_albedo(DATASET), jnp.eye(len(DATASET.points))), float)
+    size = np.linalg.norm(np.einsum("cst,ns->nct", adjoint, DATASET.arrays["streamed_direct"]), axis=(1, 2))
+    found = streamed_weights(DATASET, fit_albedo(DATASET)) * size
+    assert np.sqrt(np.mean((found - 1.0) ** 2)) < 0.3
 
 
 @pytest.mark.parametrize("name", NAMES)
