@@ -23,7 +23,9 @@ from prt_bench.stability.routes import Route
 LIGHTINGS = MEASUREMENTS = 24
 BASIS = 6
 """Even, since the symmetric rig has every singular value twice."""
-_FIXED = ("transport", "measurement_points", "dense_points", "groups", "metadata", "lightings")
+_CURVED = {"gamma": (2.2,)}
+"""Numbers among the settings that change the form of the model, and one to try."""
+_FIXED = ("transport", "measurement_points", "dense_points", "groups", "metadata", "lightings", "streamed")
 
 
 class Rig(NamedTuple):
@@ -147,6 +149,7 @@ def _variants(plain: Method) -> Iterator[Method]:
     for field in fields(plain):
         hint = hints[field.name]
         choices = get_args(hint) if get_origin(hint) is Literal else (True, False) if hint is bool else ()
+        choices = choices or _CURVED.get(field.name, ())
         for choice in choices:
             if choice != getattr(plain, field.name):
                 try:

@@ -11,7 +11,6 @@ from prt_bench.stability.routes import F32, F64
 FAST = [
     ("A2", Kind.VALUE, "ridge", F64),
     ("A1", Kind.VALUE, "ridge", F32),
-    ("A5", Kind.VALUE, "ridge", F64),
     ("A12", Kind.VALUE, "leave_one_out", F64),
     ("H1", Kind.GRADIENT, "ridge", F64),
     ("B1", Kind.VALUE, "leading_basis", F64),
@@ -22,7 +21,7 @@ FAST = [
     ("G5", Kind.VALUE, "embree", F32),
     ("G4", Kind.VALUE, "PointLight", F32),
     ("B9", Kind.VALUE, "float16", F64),
-    ("A8", Kind.VALUE, "operator-ridge b4 ridge=1e-12 prior=0, 4 functions", F32),
+    ("A6", Kind.REFUSAL, "svd-ridge b6", F64),
 ]
 
 
@@ -42,7 +41,6 @@ QUICK = (
     "norm with NaN gradient at zero",
     "norm of unscaled squares",
     "gaps unseen",
-    "rank floor of the centred light",
     "lights unchecked",
     "back faces reflect",
     "8-bit bases of one global range",
