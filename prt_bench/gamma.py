@@ -14,8 +14,11 @@ from jaxtyping import Array, Float
 from prt_bench.linalg import safe_norm
 from prt_bench.models import CoupledModel, LinearModel, Model, interleaved
 
-TOE = 1e-3
-"""Where the curve turns from a straight line into a root, relative to the root mean square of the measured light."""
+TOE = 1e-2
+"""Where the curve turns from a straight line into a root, relative to the root mean square of the measured light.
+
+A shorter toe is a steeper line: dark measurement points then count, and flicker, for more than what they cause.
+"""
 
 
 def curve(

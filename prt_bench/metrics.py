@@ -71,6 +71,18 @@ def energy_bias(prediction: Float[np.ndarray, "N T C"], reference: Float[np.ndar
     return mean(lightmap_figures(prediction, reference)["energy"])
 
 
+def temporal_error(prediction: Float[np.ndarray, "F T C"], reference: Float[np.ndarray, "F T C"]) -> float | None:
+    """‖Δprediction − Δreference‖ / ‖Δreference‖ over all changes Δ between consecutive frames; None when nothing changes.
+
+    For frames under a slowly moving light. A constant error cancels; what jumps where the light moves smoothly, or stays
+    where it should move, counts: 0 is motion as it should be, 1 a prediction that stands still, more a flicker stronger
+    than the motion. Second differences would see flicker alone, but depend on the frame rate even where both are smooth.
+    """
+    motion = np.diff(np.asarray(reference, np.float64), axis=0)
+    size = np.linalg.norm(motion)
+    return float(np.linalg.norm(np.diff(np.asarray(prediction, np.float64), axis=0) - motion) / size) if size else None
+
+
 def flip(frame: Float[np.ndarray, "H W 3"], reference: Float[np.ndarray, "H W 3"]) -> float:
     """Mean LDR-FLIP (Andersson et al. 2020) of sRGB frames in [0, 1], at 67 pixels per degree; 0 is identical."""
     import flip_evaluator

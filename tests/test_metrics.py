@@ -34,6 +34,18 @@ def test_black_lightings_are_left_out_of_relative_figures():
     assert metrics.rmse(predicted[-1:], black[-1:]) == 1.0
 
 
+def test_temporal_error_has_closed_forms():
+    """A light that brightens evenly: errors that stay, scale, stand still, and flicker by ± d."""
+    motion = np.arange(7.0)[:, None, None] * REFERENCE[0] + 5.0
+    assert metrics.temporal_error(motion + REFERENCE[1], motion) == pytest.approx(0.0, abs=1e-12)
+    assert metrics.temporal_error(1.3 * motion, motion) == pytest.approx(0.3)
+    assert metrics.temporal_error(0.0 * motion, motion) == pytest.approx(1.0)
+    flicker = 0.2 * REFERENCE[2] * (-1.0) ** np.arange(7)[:, None, None]
+    expected = 0.4 * np.linalg.norm(REFERENCE[2]) / np.linalg.norm(REFERENCE[0])
+    assert metrics.temporal_error(motion + flicker, motion) == pytest.approx(expected)
+    assert metrics.temporal_error(REFERENCE, np.ones_like(REFERENCE)) is None
+
+
 def test_negative_share_counts_values():
     values = np.ones((2, 5, 1))
     values[0, :2] = -1e-9
