@@ -9,7 +9,8 @@ import numpy as np
 from prt_bench.stability.cell import Measured
 from prt_bench.stability.routes import Route
 
-_STEP = 1e-4
+_STEPS = (1e-4, 1e-3, 1e-2)
+"""Short for functions that bend, long for those that have float32 inside; a right gradient matches one of them."""
 
 
 def gradient_error(
@@ -38,13 +39,20 @@ def gradient_error(
         if not np.all(np.isfinite(slope)):
             yield Measured(np.nan, route.gradient_tolerance)
             continue
-        difference = _difference(loss, precise, index, direction)
         size = np.linalg.norm(direction) / (float(np.linalg.norm(precise[index])) or 1.0)
         scale = max(np.linalg.norm(slope) * np.linalg.norm(direction), np.linalg.norm(weight * value) * size)
-        yield Measured(float(abs(np.sum(slope * direction) - difference) / (scale or 1.0)), route.gradient_tolerance)
+        error = np.inf
+        for step in _STEPS:
+            gap = abs(np.sum(slope * direction) - _difference(loss, precise, index, direction, step))
+            error = min(error, float(gap / (scale or 1.0)))
+            if error <= route.gradient_tolerance:
+                break
+        yield Measured(error, route.gradient_tolerance)
 
 
-def _difference(loss: Callable[..., jax.Array], at: list[jax.Array], index: int, direction: np.ndarray) -> float:
+def _difference(
+    loss: Callable[..., jax.Array], at: list[jax.Array], index: int, direction: np.ndarray, step: float
+) -> float:
     """Derivative of the loss along a direction: two central differences, extrapolated to an error of fourth order."""
 
     def quotient(step: float) -> float:
@@ -53,4 +61,4 @@ def _difference(loss: Callable[..., jax.Array], at: list[jax.Array], index: int,
         )
         return (ahead - behind) / (2 * step)
 
-    return (4 * quotient(_STEP) - quotient(2 * _STEP)) / 3
+    return (4 * quotient(step) - quotient(2 * step)) / 3
