@@ -17,8 +17,8 @@ from prt_bench.images import exposure_for, tone_map
 from prt_bench.records import Record
 from prt_bench.report.pictures import read_picture
 
-SHOWN = ("svd-ridge b16", "operator-ridge b16", "operator-ridge b64")
-COLOURS = {"svd-ridge": "#D55E00", "operator-ridge": "#0072B2", "projection": "#999999"}
+SHOWN = ("svd-ridge b64", "operator-ridge b64", "reduced-rank b64")
+COLOURS = {"svd-ridge": "#D55E00", "operator-ridge": "#0072B2", "reduced-rank": "#009E73", "projection": "#999999"}
 
 
 def main() -> None:
