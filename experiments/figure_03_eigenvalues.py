@@ -1,6 +1,7 @@
 """Relative eigenvalues of the indirect light's autocorrelation (Figure 3 of Belcour et al. 2022), on our scenes.
 
-128 lightings a scene, each over the norm of its measured light, all channels as examples, about the mean as in the paper.
+128 lightings a scene, all channels as examples, about the mean as in the paper. Each is over the size of its indirect light:
+over the norm of its measured light, the paper's choice, one spot that misses the measurement points is all there is.
 Prints how many eigenvalues exceed 1 % of the first and how many hold 90, 95 and 99 % of the energy; draws the curves.
 
     python experiments/figure_03_eigenvalues.py [--scenes cornell suzanne bunny] [--scenarios point spot] [--data DIR]
@@ -53,7 +54,7 @@ def eigenvalues(scene: str, scenario: str, folder: Path) -> np.ndarray:
     """Of the autocorrelation of the centred training light, descending."""
     ds = prt.bake(prt.load_scene(scene), scenario, 128, 128, 256, measurements=256, seed=0, out=folder)
     train = ds.split("train")
-    examples = normalised(train.measured, train.indirect, "measured")
+    examples = normalised(train.measured, train.indirect)
     examples = examples.less(*examples.means())
     return np.asarray(leading_basis(examples.y, 1, examples.floor)[1]) ** 2
 
