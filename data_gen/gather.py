@@ -6,7 +6,7 @@ interpolated across a seam or through a wall.
 """
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt
 
 from data_gen.hemisphere import HemisphereSampler
 from data_gen.resolve import HitResolver
@@ -30,7 +30,7 @@ def buried(tracer: Tracer, points: SurfacePoints, seed: int) -> Bool[np.ndarray,
 
 def trace_hits(
     tracer: Tracer, resolver: HitResolver, sampler: HemisphereSampler, points: SurfacePoints, first: int
-) -> Int[np.ndarray, "P R"]:
+) -> Int[np.ndarray, "P R"] | UInt[np.ndarray, "P R"]:
     """Hit table rows of `points`, whose global indices start at `first`. Same result for any number of workers.
 
     A ray that carries nothing holds the number of samples.
@@ -39,7 +39,7 @@ def trace_hits(
     step = max(_RAYS_PER_STEP // rays, 1)
     origins = (points.position + tracer.offset * points.normal).astype(np.float32)
     turns = sampler.turns(first, points.normal)
-    table = np.empty((len(points), rays), np.int32)
+    table = np.empty((len(points), rays), resolver.sample.dtype)
 
     def trace(start: int) -> None:
         rows = slice(start, min(start + step, len(points)))
@@ -47,6 +47,6 @@ def trace_hits(
         found = tracer.trace(np.asarray(origin), np.asarray(directions))
         table[rows] = resolver(found, directions, sampler.jitter, turns.chosen[rows]).reshape(-1, rays)
 
-    with tracer.pool() as executor:
+    with tracer.pool(spare=True) as executor:
         list(executor.map(trace, range(0, len(points), step)))
     return table

@@ -10,13 +10,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from data_gen.atlas import PADDING
 from data_gen.hemisphere import ONE_THREAD
 from prt_bench.points import Lightmap, SurfacePoints
+from prt_bench.scene import Mesh
 
 _NO_CHART = -2.0
 
@@ -25,22 +26,24 @@ _NO_CHART = -2.0
 class HitResolver:
     """Tables on the CPU device. Texels have a border of one, so that a jittered place never leaves the table.
 
-    `face`: seven arrays [F]: texel coordinates of a face's first corner (2), the edges from there to the others (4), and its
-    chart. Seven arrays, because lookups of single numbers vectorise where lookups of rows do not.
-    `sample` [(res + 2)²]: the texel's sample, or the nearest one within the padding; `chart` [(res + 2)²]: that sample's.
+    `face`: ten arrays [F]: texel coordinates of a face's first corner (2), the edges from there to the others (4), its chart
+    and its normal (3). Ten arrays, because lookups of single numbers vectorise where lookups of rows do not; and a lookup of
+    the normal costs less than a copy of the one embree returns.
+    `sample` [(res + 2)²]: the texel's sample, or the nearest one within the padding, in the smallest type that holds them
+    all; `chart` [(res + 2)²]: that sample's.
     """
 
     samples: int
     width: int
     face: tuple[Float[Array, " F"], ...]
-    sample: Int[Array, " texels"]
+    sample: Int[Array, " texels"] | UInt[Array, " texels"]
     chart: Float[Array, " texels"]
 
     @classmethod
     def create(
-        cls, lightmap: Lightmap, points: SurfacePoints, buried: Bool[np.ndarray, " S"] | None = None
+        cls, mesh: Mesh, lightmap: Lightmap, points: SurfacePoints, buried: Bool[np.ndarray, " S"] | None = None
     ) -> "HitResolver":
-        """Tables for hits on the scene that `lightmap` unwraps; `points` are its covered texels.
+        """Tables for hits on `mesh`, which `lightmap` unwraps; `points` are its covered texels.
 
         Where another body stands on a texel its point may be `buried` in it, and dark, while the rest of the texel is lit:
         a hit there goes to the nearest sample of the chart that is not.
@@ -58,13 +61,15 @@ class HitResolver:
         empty = covered < 0
         row, column = np.asarray(distance_transform_edt(empty, return_distances=False, return_indices=True))
         distance = np.asarray(distance_transform_edt(empty))
-        sample = np.where(distance < PADDING, covered[row, column], len(points)).astype(np.int32)
+        sample = np.where(distance < PADDING, covered[row, column], len(points))
         uv = lightmap.corner_uv * side
-        columns = np.column_stack([uv[:, 0] + 1.0, uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0], lightmap.chart])
+        edges = (uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0])
+        columns = np.column_stack([uv[:, 0] + 1.0, *edges, lightmap.chart, mesh.normals])
         chart = home.astype(np.float32)[sample]
         on_cpu = partial(jax.device_put, device=jax.devices("cpu")[0])
         face = tuple(on_cpu(column) for column in columns.T.astype(np.float32))
-        return cls(len(points), side + 2, face, on_cpu(sample.ravel()), on_cpu(chart.ravel()))
+        index = np.uint16 if len(points) < 2**16 else np.int32
+        return cls(len(points), side + 2, face, on_cpu(sample.ravel().astype(index)), on_cpu(chart.ravel()))
 
     def __call__(
         self,
@@ -72,26 +77,26 @@ class HitResolver:
         directions: Float[Array, "P*R 3"],
         jitter: tuple[Float[Array, "sets R"], Float[Array, "sets R"]],
         chosen: Int[np.ndarray, " P"],
-    ) -> Int[np.ndarray, " P*R"]:
-        """Sample index of each of embree's answers `found`; `samples` for a ray that carries nothing: it escaped, met the
-        back of a one-sided surface, or a face without texels.
+    ) -> Int[np.ndarray, " P*R"] | UInt[np.ndarray, " P*R"]:
+        """Sample index of each of embree's answers `found`, in the type of `sample`; `samples` for a ray that carries nothing:
+        it escaped, met the back of a one-sided surface, or a face without texels.
 
         `jitter[chosen]`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart:
         the texel that was hit is always one of the chart's own.
         """
-        hits = (found["primID"], found["u"], found["v"], found["Ng"], directions, jitter, chosen)
+        hits = (found["primID"], found["u"], found["v"], directions, jitter, chosen)
         return np.asarray(_resolve(*hits, self.face, self.sample, self.chart, width=self.width, nothing=self.samples))
 
 
 @partial(jax.jit, static_argnames=("width", "nothing"), compiler_options=ONE_THREAD)
 def _resolve(
-    face: Any, u: Any, v: Any, normal: Any, direction: Array, jitter: tuple[Array, Array], chosen: Any,
+    face: Any, u: Any, v: Any, direction: Array, jitter: tuple[Array, Array], chosen: Any,
     faces: tuple[Array, ...], sample: Array, chart: Array, *, width: int, nothing: int,
 ) -> Array:  # fmt: skip
-    facing = normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1] + normal[:, 2] * direction[:, 2]
-    s0, t0, s1, t1, s2, t2, home = (column.at[face].get(mode="clip") for column in faces)
+    s0, t0, s1, t1, s2, t2, home, x, y, z = (column.at[face].get(mode="clip") for column in faces)
     s = s0 + u * s1 + v * s2
     t = t0 + u * t1 + v * t2
+    facing = x * direction[:, 0] + y * direction[:, 1] + z * direction[:, 2]
     s_jitter, t_jitter = (offsets.at[chosen].get(mode="clip").ravel() for offsets in jitter)
 
     def texel(s: Array, t: Array) -> Array:
@@ -100,4 +105,4 @@ def _resolve(
     place = texel(s + s_jitter, t + t_jitter)
     place = jnp.where(chart.at[place].get(mode="clip") == home, place, texel(s, t))
     carries = (face >= 0) & (facing < 0) & (home >= 0)
-    return jnp.where(carries, sample.at[place].get(mode="clip"), nothing)
+    return jnp.where(carries, sample.at[place].get(mode="clip"), jnp.asarray(nothing, sample.dtype))

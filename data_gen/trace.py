@@ -61,21 +61,20 @@ def trace(
     gather_map = lightmap if shared else unwrap(home, settings.gather_texels, folder)
     samples = receivers if shared else lightmap_points(scene, gather_map)
     hidden = buried(tracer, receivers, seed)
-    resolver = HitResolver.create(gather_map, samples, hidden if shared else buried(tracer, samples, seed))
+    resolver = HitResolver.create(scene.mesh, gather_map, samples, hidden if shared else buried(tracer, samples, seed))
     sampler = HemisphereSampler.create(settings.rays, seed)
-    index_type = np.uint16 if len(samples) < 2**16 - 1 else np.int32
 
     tables = [("receiver_hits", receivers)] + ([] if shared else [("sample_hits", samples)])
     chunks = [(name, points, slice(at, at + CHUNK)) for name, points in tables for at in range(0, len(points), CHUNK)]
-    needed = sum(len(points) for _, points in tables) * settings.rays * index_type().itemsize
+    needed = sum(len(points) for _, points in tables) * settings.rays * resolver.sample.dtype.itemsize
     with resumable(path, int(1.1 * needed)) as (partial, journal):
         group = zarr.open_group(partial, mode="a")
         for name, points in tables:
             shape, chunk = (len(points), settings.rays), (min(CHUNK, len(points)), settings.rays)
-            create_array(group, name, shape, chunk, index_type)
+            create_array(group, name, shape, chunk, resolver.sample.dtype)
         missing = [(index, chunk) for index, chunk in enumerate(chunks) if index not in journal.done]
         for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
-            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start).astype(index_type)
+            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start)
             journal.add(index)
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)

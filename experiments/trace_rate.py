@@ -66,7 +66,7 @@ def main() -> None:
     lightmap = unwrap(scene, settings.texels)
     tracer = Tracer(scene, settings.workers)
     everywhere = lightmap_points(scene, lightmap)
-    resolver = HitResolver.create(lightmap, everywhere, buried(tracer, everywhere, 0))
+    resolver = HitResolver.create(scene.mesh, lightmap, everywhere, buried(tracer, everywhere, 0))
     sampler = HemisphereSampler.create(settings.rays, 0)
     # Texels in the order of the lightmap, as a bake traces them, spread over all of it.
     step = max(len(everywhere) * settings.rays // MOST_RAYS, 1)

@@ -62,7 +62,7 @@ def any_scale(made: Any, placed: Placed, route: Route) -> Iterator[Measured]:
     tables = []
     for place in (_placed(1.0, 0.0), placed):
         tracer = made(place.scene)
-        resolver = HitResolver.create(place.lightmap, place.points)
+        resolver = HitResolver.create(place.scene.mesh, place.lightmap, place.points)
         sampler = HemisphereSampler.create(_RAYS, 0)
         tables.append(trace_hits(tracer, resolver, sampler, place.points, 0))
     plain, found = tables
@@ -123,7 +123,7 @@ def back_faces(made: Any, scale: float, route: Route) -> Iterator[Measured]:
     """
     placed = _placed(scale, 0.0)
     tracer = made(placed.scene)
-    resolver = HitResolver.create(placed.lightmap, placed.points)
+    resolver = HitResolver.create(placed.scene.mesh, placed.lightmap, placed.points)
     away = placed.points.position * 1.5
     outside = SurfacePoints(
         away, placed.points.normal, placed.points.albedo, placed.points.face, placed.points.barycentric
@@ -151,10 +151,11 @@ def _borders(route: Route) -> Iterator[Member]:
 def seams(make: Any, hits: tuple[np.ndarray, ...], route: Route) -> Iterator[Measured]:
     """G5: hits at the edges of charts, jittered by half a texel, stay on the wall that was hit; back hits carry nothing."""
     ds = room()
-    resolver = make(ds.lightmap, ds.points)
+    mesh = ds.transport.scene.mesh
+    resolver = make(mesh, ds.lightmap, ds.points)
     faces, u, v, jitter = hits
-    normal = ds.transport.scene.mesh.normals[faces].astype(np.float32)
-    found = {"primID": faces.astype(np.int32), "u": u.astype(np.float32), "v": v.astype(np.float32), "Ng": normal}
+    normal = mesh.normals[faces].astype(np.float32)
+    found = {"primID": faces.astype(np.int32), "u": u.astype(np.float32), "v": v.astype(np.float32)}
     one_set = tuple(jnp.asarray(offsets[None], jnp.float32) for offsets in jitter.T)
     once = np.zeros(1, int)
     sample = resolver(found, jnp.asarray(-normal), one_set, once)

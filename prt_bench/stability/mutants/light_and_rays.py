@@ -122,9 +122,13 @@ def no_offset(sound: Any) -> Any:
 @mutant("back faces reflect", "data_gen.resolve:HitResolver.__call__", "back faces", "nothing is looked", routes=(F32,))
 def back_faces(sound: Any) -> Any:
     """Light from the inside of closed bodies."""
-    return lambda self, found, directions, *rest: sound(
-        self, {**found, "Ng": -np.asarray(directions)}, directions, *rest
-    )
+
+    def naive(self: Any, *arguments: Any) -> Any:
+        turned = replace(self, face=(*self.face[:7], *(-axis for axis in self.face[7:])))
+        fronts, backs = sound(self, *arguments), sound(turned, *arguments)
+        return np.where(fronts < self.samples, fronts, backs)
+
+    return naive
 
 
 @mutant("hits interpolated over seams", "data_gen.resolve:HitResolver.__call__", "nothing is looked", routes=(F32,))
@@ -132,7 +136,7 @@ def over_seams(sound: Any) -> Any:
     """Light leaks from one chart into the next."""
 
     def naive(self: Any, *arguments: Any) -> Any:
-        one_chart = (*self.face[:6], jnp.zeros_like(self.face[6]))
+        one_chart = (*self.face[:6], jnp.zeros_like(self.face[6]), *self.face[7:])
         return sound(replace(self, face=one_chart, chart=jnp.zeros_like(self.chart)), *arguments)
 
     return naive
