@@ -35,13 +35,18 @@ class Examples(NamedTuple):
     @jax.jit
     def means(self) -> tuple[Float[Array, "M 1"], Float[Array, "T 1"]]:
         """What ‖x‖ alone tells of x and y: the μ that fit μ ‖x‖ best. Plain means where all columns have norm 1."""
-        energy = jnp.sum(self.norm**2)
-        weight = self.norm / jnp.where(energy > 0, energy, 1.0)
-        return _product(self.x, weight), _product(self.y, weight)
+        return weighted_mean(self.x, self.norm), weighted_mean(self.y, self.norm)
 
     def less(self, x: Float[Array, "M 1"], y: Float[Array, "T 1"]) -> "Examples":
         """The examples about a centre that scales with ‖x‖."""
         return self._replace(x=self.x - x * self.norm, y=self.y - y * self.norm)
+
+
+def weighted_mean(rows: Float[Array, "P n"], norm: Float[Array, " n"]) -> Float[Array, "P 1"]:
+    """The μ whose multiples μ · norm fit the rows best; zero where all norms are."""
+    energy = jnp.sum(norm**2)
+    weight = norm / jnp.where(energy > 0, energy, 1.0)
+    return jnp.matmul(rows, weight[:, None], precision="highest")
 
 
 @partial(jax.jit, static_argnames="by")
@@ -81,7 +86,3 @@ def training_light(ds: Observed) -> tuple[Array, Array]:
 
 def _columns(light: Float[Array, "N P C"]) -> Float[Array, "P n"]:
     return jnp.moveaxis(light.astype(jnp.float64), 1, 0).reshape(light.shape[1], -1)
-
-
-def _product(matrix: Float[Array, "P n"], vector: Float[Array, " n"]) -> Float[Array, "P 1"]:
-    return jnp.matmul(matrix, vector[:, None], precision="highest")

@@ -8,19 +8,36 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from prt_bench.linalg import cut_gap, relative_damping, ridge, safe_norm
+from prt_bench.methods.examples import Examples, weighted_mean
 from prt_bench.models import LinearModel
 
 
 def regress(
-    x: Float[Array, "M n"], coefficients: Float[Array, "B n"], ridge_factor: float | Float[Array, ""], channels: int = 1
-) -> Float[Array, "W B M"]:
-    """Ridge regression from measured light to coefficients: one matrix, or one for every channel (fastest in the columns)."""
-    return jnp.stack(
-        [
-            ridge(x[:, c::channels], coefficients[:, c::channels], relative_damping(x[:, c::channels], ridge_factor))
-            for c in range(channels)
-        ]
-    )
+    examples: Examples,
+    coefficients: Float[Array, "B n"],
+    ridge_factor: float | Float[Array, ""],
+    uncentred: Float[Array, "M n"],
+    channels: int = 1,
+) -> tuple[Float[Array, "W B M"], Float[Array, "W B 1"]]:
+    """Ridge regression u = W x + ‖x‖ κ from measured light to coefficients: one (W, κ), or one for every channel.
+
+    The ridge is relative to `uncentred`, the light before a mean was taken from it: centring leaves the errors of light what
+    they were, and of constant light it leaves nothing else. κ is zero but for channels of centred light, each of which has
+    a mean of its own beside the joint one.
+    """
+    x, norm = examples.x, examples.norm
+    matrices, offsets = [], []
+    for c in range(channels):
+        light, targets, size = x[:, c::channels], coefficients[:, c::channels], norm[c::channels]
+        damping = relative_damping(uncentred[:, c::channels], ridge_factor)
+        if channels == 1 or uncentred is x:
+            matrices.append(ridge(light, targets, damping))
+            offsets.append(jnp.zeros((len(targets), 1)))
+        else:
+            mu_x, mu_u = weighted_mean(light, size), weighted_mean(targets, size)
+            matrices.append(ridge(light - mu_x * size, targets - mu_u * size, damping))
+            offsets.append(mu_u - jnp.matmul(matrices[-1], mu_x, precision="highest"))
+    return jnp.stack(matrices), jnp.stack(offsets)
 
 
 def linear_model(
@@ -28,8 +45,9 @@ def linear_model(
     matrix: Float[Array, "W b M"],
     centre: tuple[Float[Array, "M 1"], Float[Array, "T 1"]] | None = None,
     singular_values: Float[Array, " n"] | None = None,
+    offset: Float[Array, "W b 1"] | float = 0.0,
 ) -> LinearModel:
-    """y = U W x; with a centre (μ_x, μ_y) of the normalised light, y = ‖x‖ μ_y + U W (x − ‖x‖ μ_x).
+    """y = U W x; with a centre (μ_x, μ_y) of the normalised light, y = ‖x‖ μ_y + U (W (x − ‖x‖ μ_x) + ‖x‖ κ), κ the offset.
 
     The mean becomes the first basis function, of unit length.
     """
@@ -39,7 +57,7 @@ def linear_model(
     mu_x, mu_y = centre
     length = safe_norm(mu_y, axis=0)
     mean_row = jnp.zeros((channels, 1, measurements + 1)).at[:, 0, -1].set(length[0, 0])
-    others = jnp.concatenate([matrix, -jnp.matmul(matrix, mu_x, precision="highest")], axis=2)
+    others = jnp.concatenate([matrix, offset - jnp.matmul(matrix, mu_x, precision="highest")], axis=2)
     basis = jnp.concatenate([mu_y / jnp.where(length > 0, length, 1.0), u], axis=1)
     return LinearModel(basis, jnp.concatenate([mean_row, others], axis=1), singular_values)
 

@@ -22,7 +22,8 @@ Transfer = Literal["shared", "per-channel", "coupled"]
 class SvdRidge(Method):
     """The closed-form baseline: u = M x by ridge, y = ‖x‖ μ + U u.
 
-    `basis` counts the mean, so 16 is the mean and 15 singular vectors. `ridge` is relative: λ = ridge · ‖X‖²_F / M.
+    `basis` counts the mean, so 16 is the mean and 15 singular vectors. `ridge` is relative: λ = ridge · ‖X‖²_F / M with X
+    before its mean is taken from it.
     `mean` False leaves the mean out, which makes the model additive in the light as well as homogeneous. `transfer` says
     what colour channels are: "shared", examples of one basis and one matrix (the paper's mono-channel form, its choice);
     "per-channel", examples of one basis with a matrix each; "coupled", parts of one vector with one set of coefficients
@@ -76,10 +77,12 @@ def fit_svd_ridge(
 ) -> LinearModel:
     """The fit as a pure function of arrays, differentiable in the light and (where positive) in `ridge_factor`."""
     examples = normalised(measured, indirect, normalise)
+    uncentred = examples.x
     centre = examples.means() if mean else None
     if centre:
         examples = examples.less(*centre)
     u, values = leading_basis(examples.y, basis - mean, examples.floor)
     channels = indirect.shape[2] if per_channel else 1
     coefficients = jnp.matmul(u.T, examples.y, precision="highest")
-    return linear_model(u, regress(examples.x, coefficients, ridge_factor, channels), centre, values)
+    matrix, offset = regress(examples, coefficients, ridge_factor, uncentred, channels)
+    return linear_model(u, matrix, centre, values, offset)

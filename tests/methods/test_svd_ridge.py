@@ -127,6 +127,31 @@ def test_a_lighting_that_misses_the_measurement_points_does_not_rule_the_fit():
     assert sound < 2 * plain < 0.1 < paper
 
 
+@pytest.mark.parametrize("transfer", ["shared", "per-channel"])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.float16])
+def test_constant_light_is_not_blown_up(transfer, dtype):
+    """B3: one light under many colours; a ridge relative to what centring leaves of it divides by rounding."""
+    rng = np.random.default_rng(0)
+    seen, colour = TRAIN.measured[:1], rng.uniform(0.2, 1.0, (24, 1, 3))
+    bounced = TRAIN.indirect[:1] * np.array([1.0, 0.8, 0.5])
+    train = SimpleNamespace(measured=(seen * colour).astype(dtype), indirect=(bounced * colour).astype(dtype))
+    test = SimpleNamespace(measured=np.repeat(TEST.measured, 3, axis=2), indirect=np.repeat(TEST.indirect, 3, axis=2))
+    model = prt.method("svd-ridge", basis=6, transfer=transfer)
+    with pytest.warns(UserWarning, match="basis functions are zero" if dtype == np.float64 else ""):
+        found = np.abs(np.asarray(model.fit(train).predict(test)))
+    assert found.max() < 4 * np.abs(test.indirect).max()
+
+
+def test_every_channel_has_a_mean_of_its_own():
+    """Constant light of three channels that bounce differently is predicted exactly by means alone, whatever the ridge."""
+    colours = np.random.default_rng(0).uniform(0.2, 1.0, (24, 1, 3))
+    shapes = np.abs(np.random.default_rng(1).normal(size=(1, RECEIVERS, 3)))
+    light = SimpleNamespace(measured=np.abs(TRAIN.measured[:1]) * colours, indirect=shapes * colours)
+    with pytest.warns(UserWarning, match="rank"):
+        model = prt.method("svd-ridge", basis=4, transfer="per-channel", ridge=100.0).fit(light)
+    np.testing.assert_allclose(model.predict(light), light.indirect, rtol=1e-9)
+
+
 def test_only_black_lightings_are_refused():
     dark = SimpleNamespace(measured=np.zeros((3, POINTS, 1)), indirect=np.zeros((3, RECEIVERS, 1)))
     with pytest.raises(FitError, match="no training lighting"):
