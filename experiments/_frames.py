@@ -5,7 +5,7 @@ held-out lighting whose error is the median of the first asset's, so that none i
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,16 +84,16 @@ def frames(
     return drawn, captions
 
 
-def draw(path: Path, rows: Sequence[Row], reference: str = "reference") -> None:
-    """All rows in one picture, each exposed for its reference frame."""
+def draw(path: Path, rows: Sequence[Row], exposed_as: Callable[[str], str] = lambda title: "reference") -> None:
+    """All rows in one picture, each frame exposed as the one in its row that `exposed_as` names for its title."""
     columns = max(len(row.frames) for row in rows)
     size = (2.35 * columns + 0.2, 2.6 * len(rows) + 0.15)
     figure, grid = plt.subplots(len(rows), columns, figsize=size, dpi=100, layout="constrained", squeeze=False)
     for number, (line, row) in enumerate(zip(grid, rows, strict=True)):
-        exposure = exposure_for(row.frames[reference])
         for axes in line[len(row.frames) :]:
             axes.set_axis_off()
         for axes, (title, frame) in zip(line, row.frames.items(), strict=False):
+            exposure = exposure_for(row.frames[exposed_as(title)])
             axes.imshow(tone_map(frame, exposure), interpolation="lanczos")
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set_visible(False)
