@@ -44,10 +44,9 @@ def importance(transport: Transport, albedo: Float[Array, "S C"], u: Float[Array
     """𝒮ᵀ U: what direct light at each sample adds to each coefficient, through all bounces.
 
     The adjoint carries B columns where the forward operator would carry one for each pattern. Differentiable in u and
-    albedo; float32, as the bake.
+    albedo, in the precision of u: derivatives of a fit are held to 1e-6, which float32 within would cost.
     """
-    u = u.astype(jnp.float32)
-    received = jnp.zeros((len(transport.samples), u.shape[1]), jnp.float32)
+    received = jnp.zeros((len(transport.samples), u.shape[1]), u.dtype)
     for rows in _row_blocks(u.shape[0]):
         received += _transposed_gather(transport.receiver_gather(rows), u[rows])
     gather = transport.sample_gather(differentiable=True)

@@ -77,7 +77,7 @@ def _factors(ds: LightingDataset, patterns: Columns, share: float) -> _Factors:
     weight = streamed_weights(ds, albedo)
     x = ds.streamed.measured.T * weight
     of_lightings, of_patterns = float(scale(1.0 - share, x)), float(scale(share, patterns.measured))
-    p, s, qt = svd(jnp.concatenate([of_lightings * x, of_patterns * patterns.measured], axis=1))
+    p, s, qt = jax.jit(svd)(jnp.concatenate([of_lightings * x, of_patterns * patterns.measured], axis=1))
     q = np.asarray(qt.T, np.float32)
     lightings, rest = q[: x.shape[1]] * (of_lightings * weight[:, None]), q[x.shape[1] :]
     direct = of_patterns * patterns.direct @ rest
@@ -91,7 +91,7 @@ def streamed_weights(ds: LightingDataset, albedo: Float[Array, "S C"]) -> Float[
     """One over the size of each streamed lighting's indirect light, estimated with random probes ω as the root mean square
     of ωᵀ 𝒮 E (Hutchinson 1990); 0 where it causes none."""
     probes = np.random.default_rng(0).normal(size=(len(ds.transport.receivers), _PROBES))
-    adjoint = importance(ds.transport, albedo, jnp.asarray(probes))
+    adjoint = importance(ds.transport, albedo, jnp.asarray(probes, jnp.float32))
     sizes = [np.linalg.norm(coefficients(adjoint, direct), axis=(0, 1)) for _, direct in streamed_blocks(ds)]
     size = np.concatenate(sizes) / _PROBES**0.5
     return np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0).astype(np.float32)

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 import numpy as np
 from jaxtyping import Float
 
-from prt_bench.dataset import LightingDataset
+from prt_bench.dataset import LightingDataset, Streamed
 from prt_bench.errors import SpecError
 from prt_bench.example import example_dataset
 from prt_bench.methods import methods
@@ -119,7 +119,10 @@ def _member(
     finite = bool(np.all(np.isfinite(x)) and np.all(np.isfinite(y)))
     change_x, change_y = (rng.normal(size=light[:1].shape if constant else light.shape) for light in (x, y))
     tangent = (change_x * x, change_y * y) if finite else (x, y)
-    rig = Rig(dataset(x, y), dataset(route.arrive(test[0]), route.arrive(test[1]), "test"), tangent)
+    train = dataset(x, y)
+    if constant:
+        train.streamed = Streamed(*(np.repeat(light[:1], len(light), axis=0) for light in train.streamed))
+    rig = Rig(train, dataset(route.arrive(test[0]), route.arrive(test[1]), "test"), tangent)
     return Member(name, rig, ill_posed=not finite)
 
 
