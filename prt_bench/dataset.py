@@ -187,6 +187,12 @@ class LightingDataset:
         """Indirect irradiance at the receivers, all bounces, in W/m²."""
         return self._load("indirect")
 
+    def indirect_at(self, first: int, last: int) -> Float[np.ndarray, "N t C"]:
+        """`indirect` at the receivers from `first` up to `last`; nothing else of it is read from disk, and nothing kept."""
+        if "indirect" in vars(self):  # loaded already
+            return self.indirect[:, first:last]
+        return np.asarray(self.arrays["indirect"][slice(*self.rows), first:last])
+
     @cached_property
     def indirect_half(self) -> Float[np.ndarray, "N T C"]:
         """Indirect irradiance from the first half of the rays alone; kept for held-out lightings only."""

@@ -58,31 +58,51 @@ def normalised(measured: Float[Array, "N M C"], indirect: Float[Array, "N T C"],
     size is the root mean square of y; a tenth of that of x is added for lightings that hardly cause indirect light.
     Differentiable; a black lighting contributes nothing, to the gradient too.
     """
-    x, y = _columns(measured), _columns(indirect)
+    x, y = columns(measured), columns(indirect)
+    scale, norm = column_scale(x, safe_norm(y, axis=0), len(y), by)
+    y = y * scale
+    return Examples(x * scale, y, norm[0], jax.lax.stop_gradient(rounding_floor(y, indirect.dtype)))
+
+
+def column_scale(
+    x: Float[Array, "M n"], y_norm: Float[Array, "1 n"], receivers: int, by: Norm
+) -> tuple[Float[Array, "1 n"], Float[Array, "1 n"]]:
+    """What `normalised` multiplies each column by, from the norms of y; and ‖x‖ as normalised. Zero where x is dark."""
     norm = safe_norm(x, axis=0)
     lit = norm > 0
     size = norm
     if by == "indirect":
-        root_mean_squares = (safe_norm(y, axis=0) / len(y) ** 0.5, VISIBLE * norm / len(x) ** 0.5)
+        root_mean_squares = (y_norm / receivers**0.5, VISIBLE * norm / len(x) ** 0.5)
         size = safe_norm(jnp.concatenate(root_mean_squares), axis=0)
     scale = jnp.where(lit, 1.0 / jnp.where(lit, size, 1.0), 0.0)
-    y = y * scale
-    return Examples(x * scale, y, (norm * scale)[0], jax.lax.stop_gradient(rounding_floor(y, indirect.dtype)))
+    return scale, norm * scale
 
 
 def training_light(ds: Observed) -> tuple[Array, Array]:
     """`measured` and `indirect` of a training split. Raises `FitError` for NaN, and where no lighting lights anything."""
-    for name, light in (("measured", ds.measured), ("indirect", ds.indirect)):
-        if isinstance(light, Tracer):
-            continue
-        if not np.all(np.isfinite(light)):
-            raise FitError(f"the training split's {name} light has values that are not finite; bake it again")
-        if name == "measured" and not np.any(light):
+    measured = measured_light(ds)
+    if not isinstance(ds.indirect, Tracer):
+        require_finite("indirect", ds.indirect)
+    return measured, jnp.asarray(ds.indirect)
+
+
+def measured_light(ds: Observed) -> Array:
+    """`measured` of a training split. Raises `FitError` as `training_light` does."""
+    if not isinstance(ds.measured, Tracer):
+        require_finite("measured", ds.measured)
+        if not np.any(ds.measured):
             raise FitError(
                 "no training lighting lights any measurement point; give the fit lightings that reach the scene"
             )
-    return jnp.asarray(ds.measured), jnp.asarray(ds.indirect)
+    return jnp.asarray(ds.measured)
 
 
-def _columns(light: Float[Array, "N P C"]) -> Float[Array, "P n"]:
+def require_finite(name: str, light: Array | np.ndarray) -> None:
+    """Raise `FitError` for NaN or infinite light of that name."""
+    if not np.all(np.isfinite(light)):
+        raise FitError(f"the training split's {name} light has values that are not finite; bake it again")
+
+
+def columns(light: Float[Array, "N P C"]) -> Float[Array, "P n"]:
+    """One column per (lighting, channel), the channel fastest, in float64."""
     return jnp.moveaxis(light.astype(jnp.float64), 1, 0).reshape(light.shape[1], -1)

@@ -8,13 +8,14 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from prt_bench.linalg import cut_gap, relative_damping, ridge, safe_norm
-from prt_bench.methods.examples import Examples, weighted_mean
+from prt_bench.methods.examples import weighted_mean
 from prt_bench.models import LinearModel
 
 
 def regress(
-    examples: Examples,
+    x: Float[Array, "M n"],
     coefficients: Float[Array, "B n"],
+    norm: Float[Array, " n"],
     ridge_factor: float | Float[Array, ""],
     uncentred: Float[Array, "M n"],
     channels: int = 1,
@@ -25,7 +26,6 @@ def regress(
     they were, and of constant light it leaves nothing else. κ is zero but for channels of centred light, each of which has
     a mean of its own beside the joint one.
     """
-    x, norm = examples.x, examples.norm
     matrices, offsets = [], []
     for c in range(channels):
         light, targets, size = x[:, c::channels], coefficients[:, c::channels], norm[c::channels]
@@ -51,15 +51,25 @@ def linear_model(
 
     The mean becomes the first basis function, of unit length.
     """
-    channels, _, measurements = matrix.shape
     if centre is None:
         return LinearModel(u, jnp.pad(matrix, ((0, 0), (0, 0), (0, 1))), singular_values)
     mu_x, mu_y = centre
     length = safe_norm(mu_y, axis=0)
-    mean_row = jnp.zeros((channels, 1, measurements + 1)).at[:, 0, -1].set(length[0, 0])
-    others = jnp.concatenate([matrix, offset - jnp.matmul(matrix, mu_x, precision="highest")], axis=2)
     basis = jnp.concatenate([mu_y / jnp.where(length > 0, length, 1.0), u], axis=1)
-    return LinearModel(basis, jnp.concatenate([mean_row, others], axis=1), singular_values)
+    return LinearModel(basis, mean_weights(matrix, mu_x, length[0, 0], offset), singular_values)
+
+
+def mean_weights(
+    matrix: Float[Array, "W b M"],
+    mu_x: Float[Array, "M 1"],
+    length: Float[Array, ""],
+    offset: Float[Array, "W b 1"] | float = 0.0,
+) -> Float[Array, "W b+1 M+1"]:
+    """The weights of a `LinearModel` whose first function is the mean: ‖x‖ · length, then W (x − ‖x‖ μ_x) + ‖x‖ κ."""
+    channels, _, measurements = matrix.shape
+    mean_row = jnp.zeros((channels, 1, measurements + 1)).at[:, 0, -1].set(length)
+    others = jnp.concatenate([matrix, offset - jnp.matmul(matrix, mu_x, precision="highest")], axis=2)
+    return jnp.concatenate([mean_row, others], axis=1)
 
 
 def warn_of_rank(label: str, model: LinearModel) -> None:
