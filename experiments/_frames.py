@@ -33,14 +33,15 @@ class Row(NamedTuple):
     captions: Mapping[str, str]
 
 
-def arguments(doc: str | None, figure: str | None, **defaults: object) -> argparse.ArgumentParser:
-    """A parser with the options of all figure scripts; `figure` names the default picture."""
+def arguments(doc: str | None, figure: str | None, data: bool = True, **defaults: object) -> argparse.ArgumentParser:
+    """A parser with the options of all figure scripts; `figure` names the default picture, `data` asks where bakes are."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, value in defaults.items():
         nargs = "+" if isinstance(value, list) else None
         kind = type(value[0] if isinstance(value, list) else value)
         parser.add_argument(f"--{name}", type=kind, nargs=nargs, default=value)
-    parser.add_argument("--data", type=Path, default=None, help="where bakes are kept")
+    if data:
+        parser.add_argument("--data", type=Path, default=None, help="where bakes are kept")
     if figure:
         parser.add_argument("--out", type=Path, default=Path("experiments/figures") / figure)
     return parser

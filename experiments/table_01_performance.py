@@ -6,7 +6,7 @@ all of it. Each model is exported once: errors, bytes and times are those of tha
 JAX, timed in interleaved rounds. Measuring is the paper's fake G-buffer, transfer its matrix transfer; the frame with no
 indirect light is its `No GI`. A first fit compiles.
 
-    python experiments/table_01_performance.py [--scenes cornell suzanne] [--basis 4 16 64] [--rounds 15]
+    python experiments/table_01_performance.py [--scenes cornell suzanne] [--basis 4 16 64] [--rounds 31]
 """
 
 import os
@@ -31,7 +31,9 @@ COLUMNS = (
 
 
 def main() -> None:
-    parser = arguments(__doc__, None, scenes=["cornell", "suzanne"], scenario="point", basis=[4, 16, 64], rounds=15)
+    parser = arguments(
+        __doc__, None, data=False, scenes=["cornell", "suzanne"], scenario="point", basis=[4, 16, 64], rounds=31
+    )
     settings = parser.parse_args()
     lines, device = [], ""
     for scene in settings.scenes:
