@@ -13,7 +13,7 @@ from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from prt_bench.points import SurfacePoints
 
-_RAYS_PER_STEP = 1 << 17
+_RAYS_PER_STEP = 1 << 18
 """Enough to amortise a few hundred microseconds of dispatch."""
 _PROBES = 16
 """Rays that tell whether a point is buried."""

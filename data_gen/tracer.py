@@ -50,9 +50,9 @@ class Tracer:
     def pool(self, spare: bool = False) -> Iterator[Executor]:
         """Worker threads; embree releases Python's lock while it traces.
 
-        `spare`: two threads more, which trace while others wait for a JAX kernel; none where one worker is asked for.
+        `spare`: three threads more, which trace while others wait for a JAX kernel; none where one worker is asked for.
         """
-        with ThreadPoolExecutor(self.workers + 2 * (spare and self.workers > 1)) as executor:
+        with ThreadPoolExecutor(self.workers + 3 * (spare and self.workers > 1)) as executor:
             yield executor
 
     def intersect(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
