@@ -55,6 +55,7 @@ def _frames(line: list[Axes], rows: list[Record], run: Path) -> None:
 
 
 def _frontier(axes: Axes, rows: list[Record]) -> None:
+    marks = []
     for row in rows:
         gl = [timing for timing in row.timings if timing.api == "gl"]
         if not gl or row.method not in COLOURS or "float16" in row.label:
@@ -64,15 +65,34 @@ def _frontier(axes: Axes, rows: list[Record]) -> None:
         axes.scatter(
             frame, error, color=COLOURS[row.method] if filled else "none", edgecolors=COLOURS[row.method], s=36
         )
-        axes.annotate(row.label, (frame, error), xytext=(6, 4), textcoords="offset points", fontsize=8)
+        marks.append((error, frame, row.label))
     axes.axhline(rows[0].errors.noise_floor or 0.0, color="#777777", linestyle="--", linewidth=1)
     axes.set(yscale="log", xlabel="frame [ms]", title=f"{rows[0].scene}, {rows[0].scenario} lights")
     axes.set_ylabel("relative RMSE (dashed: noise floor)")
     axes.yaxis.set_major_locator(FixedLocator([0.05, 0.1, 0.2, 0.3, 0.5]))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, 0))
-    axes.set_xlim(axes.get_xlim()[0], axes.get_xlim()[1] * 1.2)
+    left, right = axes.get_xlim()
+    axes.set_xlim(left - 0.08 * (right - left), right + 0.32 * (right - left))
     axes.grid(alpha=0.25)
+    _labels(axes, sorted(marks))
+
+
+def _labels(axes: Axes, marks: list[tuple[float, float, str]]) -> None:
+    """Names beside the marks, upwards, each at least a line above any other that starts nearby; long ones in two lines."""
+    placed: list[tuple[float, float]] = []
+    for error, frame, label in marks:
+        x, y = axes.transData.transform((frame, error)) * 72.0 / axes.figure.dpi
+        text = label.replace(" mean=False", "\nmean=False")
+        height = y - 3.0
+        for other, top in placed:
+            if abs(other - x) < 40.0:
+                height = max(height, top + 1.0)
+        placed.append((x, height + 9.0 * (1 + text.count("\n"))))
+        axes.annotate(
+            text, (frame, error), xytext=(7, height - y), textcoords="offset points", fontsize=7, linespacing=1.0,
+            va="bottom",
+        )  # fmt: skip
 
 
 def _table(rows: list[Record]) -> str:
