@@ -5,16 +5,18 @@ a second one makes the basis. Values only: fits that are differentiated, and tho
 """
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 import zarr
 from jax.core import Tracer
-from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from prt_bench.dataset import LightingDataset
 from prt_bench.linalg import safe_norm
@@ -77,10 +79,23 @@ class Blocks:
         return min(max(most - most % self.chunk, min(most, self.chunk)), receivers)
 
     def __iter__(self) -> Iterator[tuple[slice, Float[np.ndarray, "N t C"]]]:
-        """Each block, and which receivers it is of."""
-        for first in range(0, self.shape[1], self.step):
-            rows = slice(first, min(first + self.step, self.shape[1]))
-            yield rows, self.read(rows.start, rows.stop)
+        """Each block, and which receivers it is of; the next one is read meanwhile."""
+        starts = range(0, self.shape[1], self.step)
+        with ThreadPoolExecutor(1) as executor:
+            coming = executor.submit(self._block, 0)
+            for first in starts:
+                block = coming.result()
+                if first != starts[-1]:
+                    coming = executor.submit(self._block, first + self.step)
+                yield slice(first, min(first + self.step, self.shape[1])), block
+
+    def _block(self, first: int) -> Float[np.ndarray, "N t C"]:
+        return self.read(first, min(first + self.step, self.shape[1]))
+
+    def filled(self, block: Float[np.ndarray, "N t C"]) -> Float[np.ndarray, "N step C"]:
+        """A block, the last one filled up with darkness, so that one kernel serves all."""
+        short = self.step - block.shape[1]
+        return np.pad(block, ((0, 0), (0, short), (0, 0))) if short else block
 
 
 def fit_by_blocks(
@@ -100,41 +115,78 @@ def fit_by_blocks(
     that is not finite. Not differentiable.
     """
     receivers, channels = indirect.shape[1:]
-    size = len(measured) * channels
-    gram = jnp.zeros((size, size))
+    gram = jnp.zeros((len(measured) * channels,) * 2)
     for _, light in indirect:
-        gram = _add_gram(gram, light)
+        gram = _add_gram(gram, indirect.filled(light))
     require_finite("indirect", gram)
-    x = columns(jnp.asarray(measured))
-    y_norm = jnp.sqrt(jnp.diagonal(gram))
-    scale, norm = (part[0] for part in column_scale(x, y_norm[None], receivers, normalise))
-    floor = size**0.5 * float(jnp.finfo(indirect.dtype).eps) * safe_norm(y_norm * scale, axis=0)
+    count, eps = min(basis - mean, receivers, len(gram)), float(jnp.finfo(indirect.dtype).eps)
+    found = _rotation(gram, jnp.asarray(measured), receivers, eps, count, mean, normalise)
+    rank = int(jnp.sum(found.kept))
 
-    change = jnp.diag(scale)  # what normalising and centring do to the columns: Y · change
+    # U = Y · turn · L⁻ᵀ, with the mean before it
+    u = np.zeros((receivers, mean + count))
+    turned, square = u[:, mean : mean + rank], np.zeros((rank, rank))
+    for rows, light in indirect:
+        part = np.asarray(_turned(indirect.filled(light), found.turn))[: len(u[rows])]
+        u[rows, :mean], turned[rows] = part[:, :mean], part[:, 1 : 1 + rank]
+        square += turned[rows].T @ turned[rows]
+    lower = scipy.linalg.cholesky(square, lower=True)
+    mend = scipy.linalg.solve_triangular(lower, np.eye(rank), lower=True)  # all but the identity
+    for first in range(0, receivers, indirect.step):
+        rows = slice(first, first + indirect.step)
+        turned[rows] = turned[rows] @ mend.T
+    coefficients = jnp.zeros_like(found.coefficients).at[:rank].set(mend @ found.coefficients[:rank])
+    length = np.linalg.norm(u[:, 0]) if mean else 0.0
+    if mean:
+        u[:, 0] /= length or 1.0
+    weights = _weights(found, coefficients, ridge_factor, length, mean, channels if per_channel else 1)
+    return LinearModel(jnp.asarray(u), weights, found.values)
+
+
+class _Rotation(NamedTuple):
+    """What the columns of light Y become: Y · turn is the mean and the components, those that are not `kept` zero."""
+
+    x: Float[Array, "M n"]
+    norm: Float[Array, " n"]
+    values: Float[Array, " n"]
+    kept: Bool[Array, " B"]
+    turn: Float[Array, "n B+1"]
+    coefficients: Float[Array, "B n"]
+
+
+@partial(jax.jit, static_argnames=("receivers", "eps", "count", "mean", "normalise"))
+def _rotation(
+    gram: Float[Array, "n n"], measured: Float[Array, "N M C"], receivers: int, eps: float, count: int, mean: bool,
+    normalise: Norm,
+) -> _Rotation:  # fmt: skip
+    """Normalise, centre and rotate, as `fit_svd_ridge` does with the light itself; eps is that of the light's dtype."""
+    x, y_norm = columns(measured), jnp.sqrt(jnp.diagonal(gram))
+    scale, norm = (part[0] for part in column_scale(x, y_norm[None], receivers, normalise))
+    floor = len(gram) ** 0.5 * eps * safe_norm(y_norm * scale, axis=0)
+    change = jnp.diag(scale)
     towards_mean = weighted_mean(change, norm)
     if mean:
         change = change - towards_mean * norm
     squares, v = jnp.linalg.eigh(_product(change.T, _product(gram, change)))
     values = jnp.sqrt(jnp.maximum(squares[::-1], 0.0))
-    count = min(basis - mean, receivers, size)
-    rank = int(jnp.sum(values[:count] > floor))
-    turn = _product(change, v[:, ::-1][:, :rank] / values[:rank])
+    kept = values[:count] > floor
+    turn = _product(change, v[:, ::-1][:, :count] * jnp.where(kept, 1.0 / jnp.where(kept, values[:count], 1.0), 0.0))
+    coefficients = _product(turn.T, _product(gram, change))
+    return _Rotation(x * scale, norm, values, kept, jnp.concatenate([towards_mean, turn], axis=1), coefficients)
 
-    # U = Y · turn · L⁻ᵀ, with the mean before it
-    u = np.zeros((receivers, mean + count))
-    inside = slice(int(mean), mean + rank)
-    square = jnp.zeros((rank, rank))
-    for rows, light in indirect:
-        found = _turned(light, jnp.concatenate([towards_mean, turn], axis=1))
-        square = _product(found[:, 1:].T, found[:, 1:]) + square
-        u[rows, : mean + rank] = found[:, 1 - mean :]
-    lower = jnp.linalg.cholesky(square)
-    for first in range(0, receivers, indirect.step):
-        rows = slice(first, first + indirect.step)
-        u[rows, inside] = solve_triangular(lower, u[rows, inside].T, lower=True).T
-    coefficients = solve_triangular(lower, _product(turn.T, _product(gram, change)), lower=True)
-    coefficients = jnp.pad(coefficients, ((0, count - rank), (0, 0)))
-    return _model(u, x * scale, coefficients, norm, values, ridge_factor, mean, channels if per_channel else 1)
+
+@partial(jax.jit, static_argnames=("mean", "channels"))
+def _weights(
+    found: _Rotation, coefficients: Float[Array, "B n"], ridge_factor: float, length: float, mean: bool, channels: int
+) -> Float[Array, "W b M+1"]:
+    """The regression onto the coefficients; with the row of a mean of that length first where there is one."""
+    x, norm = found.x, found.norm
+    if not mean:
+        matrix, _ = regress(x, coefficients, norm, ridge_factor, x, channels)
+        return jnp.pad(matrix, ((0, 0), (0, 0), (0, 1)))
+    mu_x = weighted_mean(x, norm)
+    matrix, offset = regress(x - mu_x * norm, coefficients, norm, ridge_factor, x, channels)
+    return mean_weights(matrix, mu_x, jnp.asarray(length), offset)
 
 
 def _rows(light: Float[Array, "N t C"]) -> Float[Array, "n t"]:
@@ -154,19 +206,3 @@ def _turned(light: Float[Array, "N t C"], turn: Float[Array, "n B"]) -> Float[Ar
 
 def _product(a: Array, b: Array) -> Array:
     return jnp.matmul(a, b, precision="highest")
-
-
-def _model(
-    u: np.ndarray, x: Array, coefficients: Array, norm: Array, values: Array,
-    ridge_factor: float, mean: bool, channels: int,
-) -> LinearModel:  # fmt: skip
-    """The regression onto the coefficients; the first column of u is the mean where there is one, of any length."""
-    if not mean:
-        matrix, _ = regress(x, coefficients, norm, ridge_factor, x, channels)
-        weights = jnp.pad(matrix, ((0, 0), (0, 0), (0, 1)))
-        return LinearModel(jnp.asarray(u), weights, values)
-    mu_x = weighted_mean(x, norm)
-    matrix, offset = regress(x - mu_x * norm, coefficients, norm, ridge_factor, x, channels)
-    length = np.linalg.norm(u[:, 0])
-    u[:, 0] /= length or 1.0
-    return LinearModel(jnp.asarray(u), mean_weights(matrix, mu_x, jnp.asarray(length), offset), values)

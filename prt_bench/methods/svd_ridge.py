@@ -34,8 +34,8 @@ class SvdRidge(Method):
     says what a lighting's light is divided by in the fit (see `normalised`); the paper's setting is "measured".
 
     `memory` is in bytes: indirect light that takes more in float64 is read from the dataset twice, in blocks of receivers,
-    and never as a whole. The basis and a few blocks then are all that the fit holds, in about half the time.
-    Predictions are the same to about 1e-7. Light that is traced or comes in float64 is in memory already, and stays there.
+    and never as a whole (`experiments/fit_speed.py` measures time and memory). Predictions are the same to rounding of float32.
+    Light that is traced or comes in float64 is in memory already, and stays there.
     """
 
     name: ClassVar[str] = "svd-ridge"
