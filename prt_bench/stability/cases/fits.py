@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -212,6 +213,6 @@ def arbitrary_cut(method: Method, rig: Rig, route: Route) -> bool:
 
     A method whose functions come from other light than the rig's has a clear cut there, and says so by its values.
     """
-    model = method.fit(rig.train)
+    model: Any = method.fit(rig.train)
     values, cut = np.asarray(model.singular_values), model.basis.shape[1]
     return bool(values[cut - 1] - values[cut] > _CLEAR * values[0])
