@@ -1,5 +1,8 @@
 """A fast part of the scoreboard, and of the mutants: `prt-bench stability --mutations` runs all of both."""
 
+import operator
+from importlib import import_module
+
 import pytest
 
 from prt_bench.stability.board import HEADROOM
@@ -59,6 +62,12 @@ def test_there_are_many_mutants_and_the_cases_they_name_exist():
     assert not [
         each.name for each in mutants() for start in each.titles if not any(t.startswith(start) for t in titles)
     ]
+
+
+def test_what_mutants_replace_exists():
+    for each in mutants():
+        module, _, path = each.replaces.partition(":")
+        assert operator.attrgetter(path)(import_module(module)), each.name
 
 
 def test_a_sound_formula_is_no_kill():

@@ -65,7 +65,7 @@ def floored_norm(sound: Any) -> Any:
     return naive
 
 
-@mutant("columns in float32", "prt_bench.methods.examples:_columns", "error near the projection", subject=_METHOD)
+@mutant("columns in float32", "prt_bench.methods.examples:columns", "error near the projection", subject=_METHOD)
 def columns_in_float32(sound: Any) -> Any:
     """A float32 fit, shipped as if it were better."""
     return lambda light: sound(light).astype(jnp.float32).astype(jnp.float64)
