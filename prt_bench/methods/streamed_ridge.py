@@ -77,7 +77,7 @@ def streamed_examples(
 def _sized(x: Float[Array, "M n"], targets: Float[Array, "B n"], receivers: int) -> tuple[Array, Array]:
     """Both over the size of the indirect light, as `normalised` does by "indirect"; coefficients hold nearly all of it."""
     parts = (safe_norm(targets, axis=0) / receivers**0.5, VISIBLE * safe_norm(x, axis=0) / x.shape[0] ** 0.5)
-    size = jax.lax.stop_gradient(safe_norm(jnp.concatenate(parts), axis=0))
+    size = safe_norm(jnp.concatenate(parts), axis=0)
     factor = jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0)
     return x * factor, targets * factor
 
