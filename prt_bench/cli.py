@@ -181,7 +181,7 @@ def _stability(args: argparse.Namespace) -> int:
     if args.out:
         board.check_target(args.out)  # before minutes of work
     cells = board.run(board.selected(args.case), args.route)
-    if args.out:
+    if args.out and args.mutations:
         board.write(args.out, cells, ())  # should a mutant not end
     killed = mutants.kills(known=cells) if args.mutations else ()
     found = board.goals(cells, killed)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from prt_bench.dataset import LightingDataset
 from prt_bench.linalg import leading_basis, relative_damping, ridge, safe_norm
 from prt_bench.methods.base import Method
-from prt_bench.methods.examples import VISIBLE, normalised, training_light
+from prt_bench.methods.examples import column_scale, normalised, training_light
 from prt_bench.methods.linear import linear_model, warn_of_rank
 from prt_bench.methods.operator import coefficients, fit_albedo, importance, streamed_blocks
 from prt_bench.methods.operator_ridge import RIDGES, Auto
@@ -76,10 +76,8 @@ def streamed_examples(
 @jax.jit
 def _sized(x: Float[Array, "M n"], targets: Float[Array, "B n"], receivers: int) -> tuple[Array, Array]:
     """Both over the size of the indirect light, as `normalised` does by "indirect"; coefficients hold nearly all of it."""
-    parts = (safe_norm(targets, axis=0) / receivers**0.5, VISIBLE * safe_norm(x, axis=0) / x.shape[0] ** 0.5)
-    size = safe_norm(jnp.concatenate(parts), axis=0)
-    factor = jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0)
-    return x * factor, targets * factor
+    scale, _ = column_scale(x, safe_norm(targets, axis=0), receivers, "indirect")
+    return x * scale, targets * scale
 
 
 @jax.jit

@@ -25,6 +25,7 @@ FAST = [
     ("G4", Kind.VALUE, "PointLight", F32),
     ("B9", Kind.VALUE, "float16", F64),
     ("A6", Kind.REFUSAL, "svd-ridge b6", F64),
+    ("H1", Kind.GRADIENT, "streamed-ridge b6 ridge=0.03", F64),
 ]
 
 
