@@ -8,9 +8,9 @@ interpolated across a seam or through a wall.
 import numpy as np
 from jaxtyping import Bool, Int, UInt
 
-from data_gen.hemisphere import HemisphereSampler
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
+from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.points import SurfacePoints
 
 _RAYS_PER_STEP = 1 << 18
@@ -33,7 +33,7 @@ def trace_hits(
 ) -> Int[np.ndarray, "P R"] | UInt[np.ndarray, "P R"]:
     """Hit table rows of `points`, whose global indices start at `first`. Same result for any number of workers.
 
-    A ray that carries nothing holds the number of samples.
+    A ray that carries nothing holds the number of samples, one that escaped one more.
     """
     rays = sampler.local.shape[1]
     step = max(_RAYS_PER_STEP // rays, 1)

@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from data_gen.atlas import PADDING
-from data_gen.hemisphere import ONE_THREAD
+from prt_bench.hemisphere import ONE_THREAD
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Mesh
 
@@ -68,7 +68,7 @@ class HitResolver:
         chart = home.astype(np.float32)[sample]
         on_cpu = partial(jax.device_put, device=jax.devices("cpu")[0])
         face = tuple(on_cpu(column) for column in columns.T.astype(np.float32))
-        index = np.uint16 if len(points) < 2**16 else np.int32
+        index = np.uint16 if len(points) + 1 < 2**16 else np.int32
         return cls(len(points), side + 2, face, on_cpu(sample.ravel().astype(index)), on_cpu(chart.ravel()))
 
     def __call__(
@@ -78,8 +78,8 @@ class HitResolver:
         jitter: tuple[Float[Array, "sets R"], Float[Array, "sets R"]],
         chosen: Int[np.ndarray, " P"],
     ) -> Int[np.ndarray, " P*R"] | UInt[np.ndarray, " P*R"]:
-        """Sample index of each of embree's answers `found`, in the type of `sample`; `samples` for a ray that carries nothing:
-        it escaped, met the back of a one-sided surface, or a face without texels.
+        """Sample index of each of embree's answers `found`, in the type of `sample`; `samples` for a ray that carries nothing,
+        as it met the back of a one-sided surface or a face without texels, and `samples` + 1 for one that escaped.
 
         `jitter[chosen]`, in texels from −½ to ½, is added to the place looked up, except where it would leave the chart:
         the texel that was hit is always one of the chart's own.
@@ -105,4 +105,5 @@ def _resolve(
     place = texel(s + s_jitter, t + t_jitter)
     place = jnp.where(chart.at[place].get(mode="clip") == home, place, texel(s, t))
     carries = (face >= 0) & (facing < 0) & (home >= 0)
-    return jnp.where(carries, sample.at[place].get(mode="clip"), jnp.asarray(nothing, sample.dtype))
+    without = jnp.where(face < 0, jnp.asarray(nothing + 1, sample.dtype), jnp.asarray(nothing, sample.dtype))
+    return jnp.where(carries, sample.at[place].get(mode="clip"), without)

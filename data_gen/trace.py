@@ -7,13 +7,13 @@ import zarr
 
 from data_gen.atlas import lightmap_points, unwrap
 from data_gen.gather import buried, trace_hits
-from data_gen.hemisphere import HemisphereSampler
 from data_gen.journal import content_key, create_array, resumable
 from data_gen.plan import Plan
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.errors import SpecError
+from prt_bench.hemisphere import SAMPLER, HemisphereSampler
 from prt_bench.points import SurfacePoints
 from prt_bench.progress import track
 from prt_bench.scene import Scene
@@ -22,7 +22,7 @@ from prt_bench.transport import GatherOperator, tail_bounds
 
 CHUNK = 1 << 14
 """Receivers that are traced, lit and stored together."""
-_VERSION = 2  # raise when the same inputs would give other hits
+_VERSION = 3  # raise when the same inputs would give other hits
 
 
 def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | None = None) -> str:
@@ -81,6 +81,8 @@ def trace(
         write_points(group, "receivers", receivers)
         write_array(group, "buried", hidden)
         write_points(group, "samples", samples)
+        for name, array in zip(SAMPLER, (sampler.local, np.stack(sampler.jitter)), strict=True):
+            write_array(group, name, np.asarray(array))
         sample_hits = "receiver_hits" if shared else "sample_hits"
         gather = GatherOperator.from_hits(np.asarray(group[sample_hits][...]), len(samples))
         group.attrs.update(
@@ -89,6 +91,7 @@ def trace(
                 "format": FORMAT,
                 "key": key,
                 "sample_hits": sample_hits,
+                "seed": seed,
                 "bounces": _needed_bounces(gather, samples, settings, scene.name),
             }
         )

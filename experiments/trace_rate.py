@@ -20,10 +20,10 @@ from embreex.rtcore_scene import EmbreeScene
 
 from data_gen.atlas import lightmap_points, unwrap
 from data_gen.gather import buried, trace_hits
-from data_gen.hemisphere import HemisphereSampler
 from data_gen.resolve import HitResolver
 from data_gen.scenes import load_scene
 from data_gen.tracer import Tracer
+from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.scene import Scene
 
 CALL_SIZES = (1 << 12, 1 << 14, 1 << 16, 1 << 18)

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from prt_bench.environment import EnvironmentMap
 from prt_bench.errors import DatasetError
+from prt_bench.hemisphere import SAMPLER, HemisphereSampler
 from prt_bench.lights import Lighting, light_from_json
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
@@ -30,7 +31,8 @@ _STREAMED = ("streamed_direct", "streamed_measured")
 class Transport:
     """The traced operator of a scene: receivers, gather samples and the hit tables between them.
 
-    `receiver_hits` [T, R] and `sample_hits` [S, R] index samples; S marks a ray that carries nothing. Both halves of the
+    `receiver_hits` [T, R] and `sample_hits` [S, R] index samples; S marks a ray that carries nothing, S + 1 one that
+    escaped, along the direction that `sampler` gives for it. Both halves of the
     rays are estimates of their own, and their difference is the noise floor. `buried` [T] marks receivers whose point lies
     inside another body that stands on their texel; no light reaches them, and pictures fill them from their neighbours.
     """
@@ -44,6 +46,7 @@ class Transport:
     sample_hits: Int[np.ndarray, "S R"] | zarr.Array
     bounces: int
     key: str
+    sampler: HemisphereSampler | None = None
 
     @classmethod
     def open(cls, path: Path) -> "Transport":
@@ -59,6 +62,9 @@ class Transport:
             member(group, str(group.attrs["sample_hits"])),
             int(group.attrs["bounces"]),
             str(group.attrs["key"]),
+            HemisphereSampler.stored(
+                *(np.asarray(member(group, name)[...]) for name in SAMPLER), int(group.attrs["seed"])
+            ),
         )
 
     def sample_gather(self, half: int | None = None, differentiable: bool = False) -> GatherOperator:

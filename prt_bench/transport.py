@@ -23,9 +23,9 @@ from prt_bench.errors import FitError
 class GatherOperator(eqx.Module):
     """G [P, S]: irradiance at P points from the radiosity of S samples.
 
-    hits [P, R] holds a sample index per ray; the value S marks a ray that carries nothing (it escaped or met the back of a
-    one-sided surface). `adjoint` (row starts [S + 2], receivers [P·R]) is the table sorted by sample; with it gradients
-    cost as much as values, without it they are several times slower.
+    hits [P, R] holds a sample index per ray; the value S marks a ray that carries nothing (it met the back of a one-sided
+    surface), S + 1 one that escaped from the scene. `adjoint` (row starts [S + 3], receivers [P·R]) is the table sorted by
+    sample; with it gradients cost as much as values, without it they are several times slower.
     """
 
     hits: Int[Array, "P R"]
@@ -35,20 +35,20 @@ class GatherOperator(eqx.Module):
     @classmethod
     def from_hits(cls, hits: Int[np.ndarray, "P R"], samples: int, differentiable: bool = False) -> "GatherOperator":
         """Wrap a hit table; `differentiable` sorts it once for fast gradients. Raises `FitError` for indices beyond S."""
-        if hits.size and not 0 <= hits.min() <= hits.max() <= samples:
+        if hits.size and not 0 <= hits.min() <= hits.max() <= samples + 1:
             raise FitError(
                 f"a hit table with entries from {hits.min()} to {hits.max()} does not index {samples} samples"
             )
         adjoint = None
         if differentiable:
             order = np.argsort(hits, axis=None, kind="stable")
-            starts = np.searchsorted(hits.ravel()[order], np.arange(samples + 2))
+            starts = np.searchsorted(hits.ravel()[order], np.arange(samples + 3))
             adjoint = (jnp.asarray(starts, jnp.int32), jnp.asarray(order // hits.shape[1], jnp.int32))
         return cls(jnp.asarray(hits, jnp.int32), samples, adjoint)
 
     def __call__(self, radiosity: Float[Array, "S K"]) -> Float[Array, "P K"]:
         """G · radiosity, one column per lighting and channel."""
-        return _gather(self.hits, self.adjoint, jnp.pad(radiosity, ((0, 1), (0, 0))))
+        return _gather(self.hits, self.adjoint, jnp.pad(radiosity, ((0, 2), (0, 0))))
 
 
 @jax.custom_vjp

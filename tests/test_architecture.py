@@ -20,6 +20,7 @@ READ_BY_BAKE = (
     "lights",
     "emitters",
     "environment",
+    "hemisphere",
     "points",
     "transport",
     "dataset",
@@ -167,7 +168,7 @@ def test_the_reference_tracer_shares_no_operator_code():
     operator = (
         "prt_bench.transport",
         "data_gen.gather",
-        "data_gen.hemisphere",
+        "prt_bench.hemisphere",
         "data_gen.direct",
         "data_gen.light",
         "data_gen.bake",

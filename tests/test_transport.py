@@ -10,13 +10,13 @@ from prt_bench.transport import GatherOperator, final_gather, indirect, radiosit
 
 S, R, N, C = 30, 8, 3, 2
 RNG = np.random.default_rng(0)
-HITS = RNG.integers(0, S + 4, (S, R)).clip(0, S)  # S: carries nothing
+HITS = RNG.integers(0, S + 4, (S, R)).clip(0, S + 1)  # S: carries nothing, S + 1: escaped
 ALBEDO = RNG.uniform(0.1, 0.8, (S, C))
 DIRECT = RNG.random((N, S, C))
 
 
 def dense(hits: np.ndarray) -> np.ndarray:
-    matrix = np.zeros((len(hits), S + 1))
+    matrix = np.zeros((len(hits), S + 2))
     for row, entries in enumerate(hits):
         np.add.at(matrix[row], entries, 1.0 / hits.shape[1])
     return matrix[:, :S]

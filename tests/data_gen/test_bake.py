@@ -12,10 +12,10 @@ import prt_bench as prt
 from data_gen import bake as bake_module
 from data_gen import journal
 from data_gen import trace as trace_module
-from data_gen.hemisphere import HemisphereSampler, tangent_frames
 from data_gen.scenarios import sample_lightings
 from data_gen.tracer import Tracer
 from prt_bench.errors import DatasetError, LightError, SceneError, SpecError
+from prt_bench.hemisphere import HemisphereSampler, tangent_frames
 
 SMALL = {"scenario": "point", "lightings": 6, "texels": 24, "rays": 32, "measurements": 24, "supersampling": 2}
 

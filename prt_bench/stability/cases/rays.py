@@ -8,10 +8,10 @@ import numpy as np
 
 from data_gen.direct import direct_irradiance
 from data_gen.gather import buried, trace_hits
-from data_gen.hemisphere import HemisphereSampler
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from prt_bench.emitters import Emitters
+from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Camera, Material, Mesh, Scene
 from prt_bench.stability.cell import Measured, Member, case

@@ -17,6 +17,8 @@ from scipy.stats import qmc
 ONE_THREAD = {"xla_cpu_multi_thread_eigen": False}
 """For kernels that already run on every worker thread."""
 _SETS = 64
+SAMPLER = ("directions", "jitter")
+"""Names of the arrays in a store that make a sampler again, beside its seed."""
 
 
 class Turns(NamedTuple):
@@ -50,6 +52,13 @@ class HemisphereSampler:
                 [radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - points[:, 0])], axis=1
             )
             jitter[:, index] = points[:, 2:].T - 0.5
+        return cls.stored(local, jitter, seed)
+
+    @classmethod
+    def stored(
+        cls, local: Float[np.ndarray, "sets R 3"], jitter: Float[np.ndarray, "2 sets R"], seed: int
+    ) -> "HemisphereSampler":
+        """From what was drawn once; another version of the generator might draw other sets."""
         on_cpu = partial(jax.device_put, device=jax.devices("cpu")[0])
         return cls(on_cpu(local), (on_cpu(jitter[0]), on_cpu(jitter[1])), seed)
 
