@@ -2,8 +2,22 @@
 
 import numpy as np
 import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from data_gen.geometry import Part, assemble, box, is_closed, quad, repair, rotation_about, with_both_sides
+from data_gen.geometry import (
+    Part,
+    assemble,
+    box,
+    clustered,
+    is_closed,
+    quad,
+    repair,
+    rotation_about,
+    subdivided,
+    with_both_sides,
+)
 from data_gen.tracer import Tracer
 from prt_bench.errors import SceneError
 from prt_bench.scene import Camera, Material, Mesh, Scene
@@ -101,3 +115,72 @@ def test_stray_vertices_do_not_widen_the_scene():
     scene = Scene("stray", mesh, (Material(),), Camera((0, 0, 1), (0, 0, 0)))
     assert scene.bounds.tolist() == [[0, 0, 0], [1, 2, 0]]
     assert scene.extent == pytest.approx(5**0.5)
+
+
+@given(seed=st.integers(0, 1000), longest=st.floats(0.05, 3.0))
+@settings(max_examples=30, deadline=None)
+def test_subdivision_keeps_the_surface(seed, longest):
+    """Areas, normals, materials and texture coordinates of what was there, in triangles without T-junctions."""
+    rng = np.random.default_rng(seed)
+    hull = trimesh.convex.convex_hull(rng.normal(size=(12, 3)) * (1, 1, 0.3))
+    faces = np.array(hull.faces)
+    corners = np.asarray(hull.vertices)[faces]
+    uv = corners @ rng.normal(size=(3, 2))  # affine, so that each new corner's is known
+    mesh = Mesh(np.array(hull.vertices, float), faces, rng.integers(0, 3, len(faces)), uv)
+    fine = subdivided(mesh, longest)
+    edges = np.linalg.norm(fine.triangles - np.roll(fine.triangles, 1, axis=1), axis=2)
+    assert edges.max() <= longest
+    assert is_closed(Part(fine.vertices, fine.faces, 0))  # a T-junction would leave an edge with one face
+    for index in range(3):
+        before, after = (
+            np.einsum("f,fd->d", m.areas[m.material == index], m.normals[m.material == index] ** 2)
+            for m in (mesh, fine)
+        )
+        np.testing.assert_allclose(after, before, atol=1e-12)
+    matrix = np.linalg.lstsq(corners.reshape(-1, 3), uv.reshape(-1, 2), rcond=None)[0]
+    np.testing.assert_allclose(fine.uv, fine.triangles @ matrix, atol=1e-9)
+    behind = np.linalg.norm(fine.triangles.mean(axis=1)[:, None] - np.asarray(hull.triangles_center)[None], axis=2)
+    assert behind.min(axis=1).max() < np.linalg.norm(np.ptp(fine.vertices, axis=0))
+
+
+def test_parts_that_touch_are_halved_alike():
+    """Two squares with vertices of their own meet in an edge; a third has other edges."""
+    wall = quad([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)], 0)
+    fine = subdivided(assemble([SQUARE, wall, quad([(0, 0, 5), (3, 0, 5), (3, 0.1, 5), (0, 0.1, 5)], 0)]), 0.2)
+    along = [
+        np.unique(fine.triangles[inside].reshape(-1, 3), axis=0)
+        for inside in (fine.triangles[..., 2].max(1) == 0, fine.triangles[..., 1].max(1) == 0)
+    ]
+    shared = [points[np.all(points[:, 1:] == 0, axis=1)] for points in along]
+    assert len(shared[0]) == 9
+    np.testing.assert_array_equal(*shared)
+
+
+def test_a_fine_enough_mesh_is_left_alone_and_no_length_is_refused():
+    mesh = assemble([SQUARE])
+    np.testing.assert_array_equal(subdivided(mesh, 2.0).triangles, mesh.triangles)
+    with pytest.raises(SceneError, match="length above zero"):
+        subdivided(mesh, 0.0)
+
+
+def test_clustering_keeps_closed_surfaces_closed():
+    torus = trimesh.creation.torus(1.0, 0.3, major_sections=96, minor_sections=48)
+    vertices, faces = clustered(np.array(torus.vertices), np.array(torus.faces), 400)
+    coarse = trimesh.Trimesh(vertices, faces, process=False)
+    assert coarse.is_watertight
+    assert coarse.is_winding_consistent
+    assert coarse.euler_number == 0  # one handle, as before
+    assert 300 < len(vertices) < 500
+    assert coarse.volume == pytest.approx(torus.volume, rel=0.03)
+    assert repair(Mesh(vertices, faces, np.zeros(len(faces), int)), "torus")[1] == ()
+
+
+def test_clustering_keeps_two_close_sheets_apart():
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60)), -1).reshape(-1, 2)
+    row = (np.arange(59)[:, None] * 60 + np.arange(59)).reshape(-1)
+    up = np.concatenate([np.stack([row, row + 1, row + 61], 1), np.stack([row, row + 61, row + 60], 1)])
+    vertices = np.concatenate([np.c_[grid, np.full(3600, 0.01)], np.c_[grid, np.full(3600, -0.01)]])
+    found, faces = clustered(vertices, np.concatenate([up, up[:, ::-1] + 3600]), 200)
+    assert set(np.round(found[:, 2], 12)) == {0.01, -0.01}
+    normal = Mesh(found, faces, np.zeros(len(faces), int)).normals[:, 2]
+    assert np.all(np.sign(normal) == np.sign(found[faces][:, 0, 2]))

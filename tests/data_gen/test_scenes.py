@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
+from scipy.spatial import KDTree
 
 from data_gen import assets
 from data_gen.fetch import MESHES
 from data_gen.geometry import Part, is_closed, repair
-from data_gen.scenes import cornell, furnace, load_scene, scenes, summary, two_plates
+from data_gen.scenes import bunny_coarse, cornell, furnace, load_scene, plants, room, scenes, summary, two_plates
+from data_gen.tracer import Tracer
 from prt_bench.errors import SceneError
 from prt_bench.scene import Scene
 
@@ -23,8 +25,9 @@ def test_every_scene_file_is_found_by_its_name():
 
 def scene_at_hand(name: str) -> Scene:
     """A built-in scene, or a skipped test where it needs a mesh that was not fetched."""
-    if name in MESHES and not MESHES[name].intact:
-        pytest.skip(f"prt-bench assets {name} was not run")
+    mesh = name.removesuffix("-coarse")
+    if mesh in MESHES and not MESHES[mesh].intact:
+        pytest.skip(f"prt-bench assets {mesh} was not run")
     return load_scene(name)
 
 
@@ -40,8 +43,6 @@ def test_scene_is_sound_and_deterministic(name):
 
 @pytest.mark.parametrize("name", scenes())
 def test_camera_sees_fronts(name):
-    from data_gen.tracer import Tracer
-
     scene = scene_at_hand(name)
     origin = np.array(scene.camera.position)
     aims = np.array(scene.camera.target) + 0.1 * np.random.default_rng(0).normal(size=(64, 3))
@@ -103,10 +104,70 @@ def test_fetched_mesh_is_closed_and_stands_free_of_the_wall(name):
     assert figure[..., 0].min() > mesh.triangles[mesh.material == 1][..., 0].max() + 0.1
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("room", 700, 24_000), ("objects", 2500, 24_000), ("plants", 5000, 21_000)]
+)
+def test_fine_scene_is_the_same_surface_in_smaller_triangles(name, low, high):
+    coarse, fine = load_scene(name), load_scene(f"{name}-fine")
+    assert len(coarse.mesh.faces) < low < 17_000 < len(fine.mesh.faces) < high
+    assert (fine.camera, fine.materials) == (coarse.camera, coarse.materials)
+    for index in range(len(coarse.materials)):
+        areas = [scene.mesh.areas[scene.mesh.material == index].sum() for scene in (coarse, fine)]
+        assert areas[0] == pytest.approx(areas[1], rel=1e-4)  # the second sides of leaves lie apart by a gap
+    edges = fine.mesh.triangles - np.roll(fine.mesh.triangles, 1, axis=1)
+    assert np.linalg.norm(edges, axis=2).max() < 0.071
+
+
+def test_distant_light_reaches_the_floor_around_the_table():
+    scene = load_scene("room")
+    tracer = Tracer(scene)
+    x, z = (values.reshape(-1) for values in np.meshgrid(*[np.linspace(-0.9, 0.9, 31)] * 2))
+    floor = np.stack([x, np.full_like(x, tracer.offset), z], axis=1)
+    sun = np.broadcast_to((0.6, 2.0, 1.0), floor.shape)
+    dark = tracer.occluded(floor, 10.0 * sun)
+    assert 0.15 < dark.mean() < 0.6
+    below = (np.abs(x + 0.3 * room.TABLE_HEIGHT) < 0.4) & (np.abs(z + 0.5 * room.TABLE_HEIGHT) < 0.2)
+    assert dark[below].all()
+
+
+def test_leaves_and_blades_reflect_on_both_sides():
+    mesh = load_scene("plants").mesh
+    strips = np.isin(mesh.material, (plants.LEAF, plants.GRASS))
+    assert strips.sum() == 2 * (plants.LEAVES + plants.BLADES) * 2 * (2 * plants.ALONG - 1)
+    np.testing.assert_allclose(mesh.areas[strips] @ mesh.normals[strips], 0.0, atol=1e-3)  # sides in pairs
+    assert mesh.triangles[strips][..., 1].min() > -1e-3  # none grows through the ground
+
+
+@pytest.mark.parametrize("name", ["objects", "objects-fine"])
+def test_objects_are_closed_and_stand_on_the_ground(name):
+    mesh = load_scene(name).mesh
+    for index in range(1, mesh.material.max() + 1):
+        corners = mesh.triangles[mesh.material == index]
+        assert np.einsum("fd,fd->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0  # outside out
+        assert corners[..., 1].min() == pytest.approx(0.0, abs=1e-3)
+        if name == "objects":
+            assert is_closed(Part(np.round(corners.reshape(-1, 3), 9), np.arange(3 * len(corners)).reshape(-1, 3), 0))
+
+
+def test_coarse_bunny_is_closed_and_lies_close_to_the_fine_one():
+    coarse, fine = (scene_at_hand(name).mesh for name in ("bunny-coarse", "bunny"))
+    figures = [mesh.triangles[mesh.material == 2] for mesh in (coarse, fine)]
+    assert len(figures[0]) == 2 * (bunny_coarse.VERTICES - 2)  # Euler: closed, without handles
+    assert is_closed(Part(figures[0].reshape(-1, 3), np.arange(figures[0][..., 0].size).reshape(-1, 3), 2))
+    volumes = [np.einsum("fd,fd->", f[:, 0], np.cross(f[:, 1], f[:, 2])) / 6 for f in figures]
+    assert volumes[0] == pytest.approx(volumes[1], rel=0.02)
+    tree = KDTree(figures[1].mean(axis=1))
+    distance, nearest = tree.query(figures[0].mean(axis=1))
+    assert distance.max() < 0.03
+    normals = [mesh.normals[mesh.material == 2] for mesh in (coarse, fine)]
+    assert np.mean(np.einsum("fd,fd->f", normals[0], normals[1][nearest]) > 0) > 0.999  # hardly a flipped face
+
+
+@pytest.mark.parametrize("name", [*MESHES, "bunny-coarse"])
 def test_scene_without_its_mesh_says_how_to_get_it(name, tmp_path, monkeypatch):
     monkeypatch.setenv("PRT_BENCH_DATA", str(tmp_path))
-    with pytest.raises(SceneError, match=f"'prt-bench assets {name}' fetches it"):
+    mesh = name.removesuffix("-coarse")
+    with pytest.raises(SceneError, match=f"'prt-bench assets {mesh}' fetches it"):
         load_scene(name)
 
 
