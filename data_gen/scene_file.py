@@ -11,6 +11,9 @@ fov_y = 40.0
 [materials.lid]
 albedo = [0.6, 0.1, 0.1]       # linear RGB
 two_sided = true
+[materials.lid.glossy]         # a lobe beside the diffuse reflection; albedo + specular ≤ 1
+specular = [0.2, 0.2, 0.2]
+exponent = 20.0
 """
 
 import tomllib
@@ -22,11 +25,12 @@ from typing import Any
 
 from data_gen.loader import MeshOptions, read_mesh
 from prt_bench.errors import SceneError
-from prt_bench.scene import Camera, Scene
+from prt_bench.scene import Camera, Glossy, Scene
 
 _KEYS = ("mesh", *(field.name for field in fields(MeshOptions)))
 _CAMERA_KEYS = tuple(field.name for field in fields(Camera))
-_MATERIAL_KEYS = ("albedo", "two_sided")
+_MATERIAL_KEYS = ("albedo", "two_sided", "glossy")
+_GLOSSY_KEYS = ("specular", "exponent")
 _UP = ("x", "y", "z")
 
 
@@ -98,7 +102,24 @@ def _material(table: Mapping[str, Any], name: str, path: Path) -> dict[str, Any]
                 f"scene file {path}: {where}two_sided is {table['two_sided']!r}, but must be true or false"
             )
         values["two_sided"] = table["two_sided"]
+    if "glossy" in table:
+        values["glossy"] = _glossy(_table(table, "glossy", path), f"{where}glossy.", path)
     return values
+
+
+def _glossy(table: Mapping[str, Any], where: str, path: Path) -> Glossy:
+    _check_keys(table, _GLOSSY_KEYS, path, where)
+    values: dict[str, Any] = {}
+    if "specular" in table:
+        values["specular"] = _triple(table["specular"], f"{where}specular", path)
+    if "exponent" in table:
+        if not _is_number(table["exponent"]):
+            raise SceneError(f"scene file {path}: {where}exponent is {table['exponent']!r}, but must be a number")
+        values["exponent"] = float(table["exponent"])
+    try:
+        return Glossy(**values)
+    except SceneError as error:
+        raise SceneError(f"scene file {path}, {where.removesuffix('.')}: {error}") from error
 
 
 def _check_keys(table: Mapping[str, Any], known: tuple[str, ...], path: Path, where: str) -> None:

@@ -9,7 +9,7 @@ import zarr
 
 from prt_bench.errors import DatasetError
 from prt_bench.points import Lightmap, SurfacePoints
-from prt_bench.scene import Camera, Material, Mesh, Scene
+from prt_bench.scene import Camera, Glossy, Material, Mesh, Scene
 
 FORMAT = 2
 """Part of every store's name, so that what an earlier version wrote is left alone and baked anew."""
@@ -69,14 +69,16 @@ def write_scene(group: zarr.Group, scene: Scene) -> None:
     if mesh.uv is not None:
         write_array(child, "uv", mesh.uv)
     for index, material in enumerate(scene.materials):
-        if material.image is not None:
-            write_array(child, f"image-{index}", material.image)
+        roughness = material.glossy and material.glossy.roughness_image
+        for kind, image in (("image", material.image), ("roughness", roughness), ("normal", material.normal_image)):
+            if image is not None:
+                write_array(child, f"{kind}-{index}", image)
     child.attrs["description"] = json.dumps(
         {
             "name": scene.name,
             "notes": scene.notes,
             "camera": vars(scene.camera),
-            "materials": [{"name": m.name, "albedo": m.albedo, "two_sided": m.two_sided} for m in scene.materials],
+            "materials": [_about(material) for material in scene.materials],
         }
     )
 
@@ -85,18 +87,33 @@ def read_scene(group: Any) -> Scene:
     """The inverse of `write_scene`."""
     about: dict[str, Any] = json.loads(str(group["scene"].attrs["description"]))
     names = set(group["scene"].array_keys())
-    uv = _array(group, "scene/uv") if "uv" in names else None
-    mesh = Mesh(*(_array(group, f"scene/{name}") for name in ("vertices", "faces", "material")), uv=uv)
-    materials = tuple(
-        Material(
-            entry["name"],
-            tuple(entry["albedo"]),
-            _array(group, f"scene/image-{index}") if f"image-{index}" in names else None,
-            entry["two_sided"],
+
+    def kept(name: str) -> np.ndarray | None:
+        return _array(group, f"scene/{name}") if name in names else None
+
+    mesh = Mesh(*(_array(group, f"scene/{name}") for name in ("vertices", "faces", "material")), uv=kept("uv"))
+    materials = []
+    for index, entry in enumerate(about["materials"]):
+        lobe = entry.get("glossy")
+        materials.append(
+            Material(
+                entry["name"],
+                tuple(entry["albedo"]),
+                kept(f"image-{index}"),
+                entry["two_sided"],
+                lobe and Glossy(tuple(lobe["specular"]), lobe["exponent"], kept(f"roughness-{index}")),
+                kept(f"normal-{index}"),
+            )
         )
-        for index, entry in enumerate(about["materials"])
-    )
-    return Scene(about["name"], mesh, materials, camera_from_json(about["camera"]), tuple(about["notes"]))
+    return Scene(about["name"], mesh, tuple(materials), camera_from_json(about["camera"]), tuple(about["notes"]))
+
+
+def _about(material: Material) -> dict[str, Any]:
+    """A material without its images, for JSON."""
+    about = {"name": material.name, "albedo": material.albedo, "two_sided": material.two_sided}
+    if material.glossy is None:
+        return about
+    return {**about, "glossy": {"specular": material.glossy.specular, "exponent": material.glossy.exponent}}
 
 
 def camera_from_json(about: dict[str, Any]) -> Camera:

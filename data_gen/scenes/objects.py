@@ -1,13 +1,14 @@
 """Separate bodies on a ground, round and edged: a scene of several objects, each with triangles of its own size.
 
-A sphere, a torus, a block, a cone and a pillar, every one closed and of its own material; `objects-fine` subdivides them.
+A sphere, a torus, blocks, a cone and a pillar, every one closed; `objects-fine` subdivides them. Sphere, torus, blocks and
+pillar have glossy lobes from sharp to wide, which diffuse transfer leaves out.
 """
 
 import numpy as np
 import trimesh
 
 from data_gen.geometry import assemble, box, quad, rotation_about, solid
-from prt_bench.scene import Camera, Material, Scene
+from prt_bench.scene import Camera, Glossy, Material, Scene
 
 GROUND, SPHERE, TORUS, BLOCK, CONE, PILLAR = range(6)
 
@@ -16,11 +17,11 @@ def build() -> Scene:
     """Ground y = 0, 3 × 2.4 m; the bodies stand on it, and the torus leans on the pillar."""
     materials = (
         Material("ground", (0.6, 0.6, 0.58)),
-        Material("sphere", (0.65, 0.62, 0.15)),
-        Material("torus", (0.15, 0.4, 0.6)),
-        Material("block", (0.65, 0.15, 0.1)),
+        Material("sphere", (0.55, 0.52, 0.12), glossy=Glossy((0.35, 0.35, 0.35), 200.0)),
+        Material("torus", (0.15, 0.4, 0.6), glossy=Glossy((0.3, 0.3, 0.3), 40.0)),
+        Material("block", (0.6, 0.14, 0.09), glossy=Glossy((0.25, 0.25, 0.25), 15.0)),
         Material("cone", (0.2, 0.5, 0.22)),
-        Material("pillar", (0.7, 0.68, 0.66)),
+        Material("pillar", (0.6, 0.58, 0.56), glossy=Glossy((0.35, 0.33, 0.3), 5.0)),
     )
     upright = rotation_about(0, -90.0)
     sphere = solid(trimesh.creation.icosphere(subdivisions=3, radius=0.32), SPHERE)

@@ -11,6 +11,7 @@ from trimesh.visual.material import PBRMaterial
 
 from data_gen.scenes import load_scene
 from prt_bench.errors import SceneError
+from prt_bench.scene import Glossy
 
 OBJ = "mtllib m.mtl\nv 0 0 0\nv 4 0 0\nv 4 1 0\nv 0 1 0\nusemtl red\nf 1 2 3\nusemtl blue\nf 1 3 4\n"
 MTL = "newmtl red\nKd 0.8 0.1 0.1\nnewmtl blue\nKd 0.1 0.123456 0.8\n"
@@ -242,6 +243,14 @@ def test_scene_file_overrides(tmp_path):
     assert scene.notes == ()
 
 
+def test_scene_file_gives_a_material_a_glossy_lobe(tmp_path):
+    block = "[materials.red]\nalbedo = [0.2, 0.3, 0.4]\n[materials.red.glossy]\n"
+    scene = load_toml(tmp_path, f'mesh = "m.obj"\n{block}specular = [0.3, 0.2, 0.1]\nexponent = 50\n')
+    lobes = {material.name: material.glossy for material in scene.materials}
+    assert lobes == {"red": Glossy((0.3, 0.2, 0.1), 50.0), "blue": None}
+    assert load_toml(tmp_path, f'mesh = "m.obj"\n{block}').materials[-1].glossy == Glossy()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -254,6 +263,18 @@ def test_scene_file_overrides(tmp_path):
         ("mesh = 'm.obj'\n[materials.red]\nalbedo = [nan,1,1]", "an albedo lies from 0 to 1"),
         ("mesh = 'm.obj'\n[materials.red]\nalbedo = 0.5", "must be three numbers"),
         ("mesh = 'm.obj'\n[materials.red]\ntwo_sided = 1", "must be true or false"),
+        (
+            "mesh = 'm.obj'\n[materials.red.glossy]\nexpnent = 5",
+            r"'materials\.red\.glossy\.expnent'; .*'materials\.red\.glossy\.exponent'",
+        ),
+        ("mesh = 'm.obj'\n[materials.red.glossy]\nexponent = 'a'", r"materials\.red\.glossy\.exponent is 'a'"),
+        ("mesh = 'm.obj'\n[materials.red.glossy]\nexponent = inf", r"materials\.red\.glossy: .*perfect mirror"),
+        ("mesh = 'm.obj'\n[materials.red.glossy]\nspecular = 0.5", "must be three numbers"),
+        ("mesh = 'm.obj'\n[materials.red]\nglossy = true", "'glossy' must be a table"),
+        (
+            "mesh = 'm.obj'\n[materials.red]\nalbedo = [0.9,0.9,0.9]\n[materials.red.glossy]",
+            "'red' reflects more than arrives",
+        ),
         ("mesh = 'm.obj'\n[materials.green]\nalbedo = [1,1,1]", "no material 'green'; it has 'blue', 'red'"),
         ("mesh = 'm.obj'\nscale = 0", "scale is 0, but must be a number above zero"),
         ("mesh = 'm.obj'\nscale = inf", "scale is inf"),

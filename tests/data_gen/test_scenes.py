@@ -118,6 +118,12 @@ def test_fine_scene_is_the_same_surface_in_smaller_triangles(name, low, high):
     assert np.linalg.norm(edges, axis=2).max() < 0.071
 
 
+@pytest.mark.parametrize(("name", "glossy"), [("room", {"top"}), ("objects", {"sphere", "torus", "block", "pillar"})])
+def test_glossy_lobes_are_where_the_description_says(name, glossy):
+    for scene in (load_scene(name), load_scene(f"{name}-fine")):
+        assert {material.name for material in scene.materials if material.glossy} == glossy
+
+
 def test_distant_light_reaches_the_floor_around_the_table():
     scene = load_scene("room")
     tracer = Tracer(scene)
