@@ -2,7 +2,7 @@
 
 It follows every path bounce by bounce, with next-event estimation from the lights' own parameters (area lights over
 their whole surface, environment maps texel by texel) and the exact albedo of every hit. Of the bake it shares the ray
-queries alone. Slow by design; for checks, not for data.
+queries alone. Slow by design; for checks, not for data. Glossy reflection is followed in `glossy_reference.py`.
 """
 
 import os
@@ -35,13 +35,13 @@ PATHS_AT_ONCE = 1 << 16
 """Paths followed together by one worker."""
 ROULETTE_FROM = 3
 """Bounces before Russian roulette may end a path."""
-_OFFSET = 1e-5
+OFFSET = 1e-5
 """Ray offset relative to the scene's size, along the normal."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A Monte Carlo estimate of irradiance in W/m² at P points.
+    """A Monte Carlo estimate at P points: of irradiance in W/m², or of radiance in W/m²/sr (`glossy_reference.py`).
 
     `halves` [2, P, 3] are means over disjoint halves of the samples, so their errors are independent;
     `standard_error` [P, 3] is that of `mean`.
@@ -67,7 +67,7 @@ def direct_irradiance(
 ) -> Estimate:
     """Irradiance straight from the lights; without area and environment lights two samples are exact."""
     paths = _Paths(scene, lighting)
-    return _average(lambda rng, at: paths.direct(rng, position[at], normal[at]), len(position), samples, seed, workers)
+    return average(lambda rng, at: paths.direct(rng, position[at], normal[at]), len(position), samples, seed, workers)
 
 
 def indirect_irradiance(
@@ -85,12 +85,12 @@ def indirect_irradiance(
     `paths` start at each point; the result is unbiased and does not depend on the number of workers.
     """
     follow = _Paths(scene, lighting)
-    return _average(
+    return average(
         lambda rng, at: follow.indirect(rng, position[at], normal[at], bounces), len(position), paths, seed, workers
     )
 
 
-def _average(
+def average(
     sample: Callable[[Generator, Int[np.ndarray, " n"]], Float[np.ndarray, "n 3"]],
     points: int,
     count: int,
@@ -98,7 +98,8 @@ def _average(
     workers: int | None,
 ) -> Estimate:
     """Mean of `count` samples at each point; sample i of all points comes before sample i + 1 of any."""
-    per_half = max(count // 2, 1) * points
+    samples = max(count // 2, 1)
+    per_half = samples * points
     starts = [(half, at) for half in (0, 1) for at in range(0, per_half, PATHS_AT_ONCE)]
 
     def moments(start: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -111,10 +112,9 @@ def _average(
         for (half, _), (first, second) in zip(starts, executor.map(moments, starts), strict=True):
             total[half] += first
             squares += second
-    halves = total / (per_half // points)
-    drawn = 2 * per_half // points
-    variance = np.maximum(squares / drawn - halves.mean(axis=0) ** 2, 0.0)
-    return Estimate(halves, np.sqrt(variance / (drawn - 1)))
+    halves = total / samples
+    variance = np.maximum(squares / (2 * samples) - halves.mean(axis=0) ** 2, 0.0)
+    return Estimate(halves, np.sqrt(variance / (2 * samples - 1)))
 
 
 def _sums_per_point(values: np.ndarray, at: np.ndarray, points: int) -> Float[np.ndarray, "P 3"]:
@@ -129,7 +129,7 @@ class _Paths:
         self.lights = lighting.lights
         self.tracer = Tracer(scene, workers=1)
         self.two_sided = np.array([material.two_sided for material in scene.materials])[scene.mesh.material]
-        self.epsilon = _OFFSET * (scene.extent + float(np.abs(scene.bounds).max()))
+        self.epsilon = OFFSET * (scene.extent + float(np.abs(scene.bounds).max()))
 
     def direct(self, rng: Generator, position: np.ndarray, normal: np.ndarray) -> Float[np.ndarray, "n 3"]:
         """One sample of every light, with a shadow ray each."""
@@ -170,7 +170,7 @@ class _Paths:
 
     def _next_surface(self, rng: Generator, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, ...]:
         """Indices of the rays that meet a reflecting surface, and position, facing normal and albedo there."""
-        direction = _cosine_directions(rng, normal)
+        direction = cosine_directions(rng, normal)
         hits = self.tracer.intersect(position + self.epsilon * normal, direction)
         met = np.flatnonzero((hits.face >= 0) & (hits.front | self.two_sided[hits.face]))
         face = hits.face[met]
@@ -200,13 +200,13 @@ def _(light: PointLight, point: np.ndarray, rng: Generator) -> _Arrival:
     offset = np.asarray(light.position) - point
     distance = np.linalg.norm(offset, axis=1)
     strength = np.asarray(light.intensity) / (distance**2 + float(light.radius) ** 2)[:, None]
-    return _Arrival(_normalised(offset), distance, strength)
+    return _Arrival(normalised(offset), distance, strength)
 
 
 @sample_light.register
 def _(light: SpotLight, point: np.ndarray, rng: Generator) -> _Arrival:
     arrival = sample_light(PointLight(light.position, light.intensity, light.radius), point, rng)
-    cosine = -arrival.direction @ _normalised(np.asarray(light.direction)[None])[0]
+    cosine = -arrival.direction @ normalised(np.asarray(light.direction)[None])[0]
     edge, full = np.cos(float(light.cutoff)), np.cos(float(light.cutoff) * (1.0 - float(light.falloff)))
     t = np.clip((cosine - edge) / (full - edge), 0.0, 1.0)
     return arrival._replace(strength=arrival.strength * (3.0 * t**2 - 2.0 * t**3)[:, None])
@@ -214,7 +214,7 @@ def _(light: SpotLight, point: np.ndarray, rng: Generator) -> _Arrival:
 
 @sample_light.register
 def _(light: DirectionalLight, point: np.ndarray, rng: Generator) -> _Arrival:
-    direction = np.broadcast_to(_normalised(-np.asarray(light.direction)[None]), point.shape)
+    direction = np.broadcast_to(normalised(-np.asarray(light.direction)[None]), point.shape)
     strength = np.broadcast_to(np.asarray(light.irradiance), point.shape)
     return _Arrival(direction, np.full(len(point), np.inf), strength)
 
@@ -225,7 +225,7 @@ def _(light: RectLight, point: np.ndarray, rng: Generator) -> _Arrival:
     u, v = np.asarray(light.u), np.asarray(light.v)
     offset = np.asarray(light.center) + s * u + t * v - point
     distance = np.linalg.norm(offset, axis=1)
-    direction = _normalised(offset)
+    direction = normalised(offset)
     # dω = cosθ' dA / r², and ∫ dA over half-edges u, v is 4 |u × v|; the emitter's cosine absorbs one |u × v|.
     seen = np.maximum(-direction @ np.cross(u, v), 0.0) * 4.0 / distance**2
     return _Arrival(direction, distance, seen[:, None] * np.asarray(light.radiance))
@@ -239,7 +239,7 @@ def _(light: SphereLight, point: np.ndarray, rng: Generator) -> _Arrival:
     sine = np.minimum(float(light.radius) / centre_distance, 1.0)
     versine = sine**2 / (1.0 + np.sqrt(1.0 - sine**2))
     cosine = 1.0 - rng.random(len(point)) * versine
-    direction = _about_axis(_normalised(offset), cosine, rng.random(len(point)))
+    direction = about_axis(normalised(offset), cosine, rng.random(len(point)))
     half_chord = np.sqrt(np.maximum(float(light.radius) ** 2 - centre_distance**2 * (1.0 - cosine**2), 0.0))
     solid_angle = 2.0 * np.pi * np.where(sine < 1.0, versine, 0.0)
     return _Arrival(direction, centre_distance * cosine - half_chord, solid_angle[:, None] * np.asarray(light.radiance))
@@ -248,7 +248,7 @@ def _(light: SphereLight, point: np.ndarray, rng: Generator) -> _Arrival:
 @sample_light.register
 def _(light: EnvironmentLight, point: np.ndarray, rng: Generator) -> _Arrival:
     height, width = light.map.radiance.shape[:2]
-    cumulative, irradiance = _environment_table(light.map)
+    cumulative, irradiance = environment_table(light.map)
     texel = np.searchsorted(cumulative, rng.random(len(point)), side="right")
     row, column = np.divmod(texel, width)
     # Uniform inside the texel: in azimuth, and in the cosine of the polar angle.
@@ -262,7 +262,7 @@ def _(light: EnvironmentLight, point: np.ndarray, rng: Generator) -> _Arrival:
 
 
 @lru_cache(maxsize=8)
-def _environment_table(
+def environment_table(
     environment: EnvironmentMap,
 ) -> tuple[Float[np.ndarray, " texels"], Float[np.ndarray, "texels 3"]]:
     """Cumulative probability of texels by their power, and each one's irradiance over its probability."""
@@ -276,12 +276,12 @@ def _environment_table(
     return cumulative / cumulative[-1], irradiance / np.maximum(probability, np.finfo(float).tiny)[:, None]
 
 
-def _cosine_directions(rng: Generator, normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def cosine_directions(rng: Generator, normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Unit vectors about normals with density cosθ/π."""
-    return _about_axis(normal, np.sqrt(1.0 - rng.random(len(normal))), rng.random(len(normal)))
+    return about_axis(normal, np.sqrt(1.0 - rng.random(len(normal))), rng.random(len(normal)))
 
 
-def _about_axis(axis: np.ndarray, cosine: np.ndarray, turn: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def about_axis(axis: np.ndarray, cosine: np.ndarray, turn: np.ndarray) -> Float[np.ndarray, "n 3"]:
     """Unit vectors at given cosines to unit axes, `turn` of a full turn around them."""
     # Two tangents by Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
     x, y, z = axis.T
@@ -295,5 +295,6 @@ def _about_axis(axis: np.ndarray, cosine: np.ndarray, turn: np.ndarray) -> Float
     return (sine * np.cos(around))[:, None] * first + (sine * np.sin(around))[:, None] * second + cosine[:, None] * axis
 
 
-def _normalised(vector: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def normalised(vector: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit vectors along the given ones."""
     return vector / np.linalg.norm(vector, axis=1, keepdims=True)

@@ -164,7 +164,8 @@ def test_modules_do_not_import_each_other_in_a_circle():
     assert not graph
 
 
-def test_the_reference_tracer_shares_no_operator_code():
+@pytest.mark.parametrize("name", ["reference", "glossy_reference", "reference_image"])
+def test_the_reference_tracer_shares_no_operator_code(name: str):
     operator = (
         "prt_bench.transport",
         "data_gen.gather",
@@ -173,7 +174,7 @@ def test_the_reference_tracer_shares_no_operator_code():
         "data_gen.light",
         "data_gen.bake",
     )
-    assert not [name for name in imports(files("data_gen")["data_gen/reference.py"]) if within(name, *operator)]
+    assert not [name for name in imports(files("data_gen")[f"data_gen/{name}.py"]) if within(name, *operator)]
 
 
 def test_notebooks_use_the_public_surface_alone():
