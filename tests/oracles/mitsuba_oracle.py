@@ -1,4 +1,4 @@
-"""The project's scenes in mitsuba: indirect irradiance at surface points from a third party's path tracer.
+"""The project's scenes in mitsuba: indirect irradiance and reflected radiance at surface points by a third party's tracer.
 
 Needs LLVM 17 or newer. Point and directional lights only: mitsuba's area lights are geometry that casts shadows, its
 spots and environments use other interpolations.
@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from prt_bench.lights import DirectionalLight, Light, Lighting, PointLight
 from prt_bench.scene import Scene
+from tests.oracles.mitsuba_glossy import glossy_bsdf
 
 PATHS_AT_ONCE = 1 << 22
 """Paths per kernel launch."""
@@ -80,15 +81,41 @@ class MitsubaOracle:
             irradiance[rows] = np.stack([channel.numpy() for channel in mean], axis=1)
         return irradiance
 
+    def radiance(
+        self,
+        position: Float[np.ndarray, "P 3"],
+        towards_eye: Float[np.ndarray, "P 3"],
+        lighting: Lighting,
+        paths: int,
+        bounces: int | None = None,
+        seed: int = 0,
+    ) -> Float[np.ndarray, "P 3"]:
+        """Radiance that points reflect along unit directions, after direct light (depth 2) and up to `bounces` more."""
+        import drjit as dr
+        import mitsuba as mi
+
+        emitters = {f"light-{index}": _emitter(light) for index, light in enumerate(lighting.lights)}
+        scene = mi.load_dict({"type": "scene", **self._shapes, **emitters})
+        integrator = mi.load_dict({"type": "path", "max_depth": -1 if bounces is None else bounces + 2})
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, len(position) * paths)
+        row = dr.arange(mi.UInt32, len(position) * paths) // paths
+        way = dr.gather(mi.Vector3f, mi.Vector3f(-towards_eye.T), row)
+        start = dr.gather(mi.Point3f, mi.Point3f((position + 10.0 * self._offset * towards_eye).T), row)
+        radiance, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(start, way))
+        return np.stack([(dr.block_sum(channel, paths) / paths).numpy() for channel in radiance], axis=1)
+
 
 def _shape(scene: Scene, index: int) -> Any:
-    """The faces of one material, flat-shaded; mitsuba's `diffuse` is black from behind as ours."""
+    """The faces of one material with its lobe, flat-shaded; mitsuba's `diffuse` is black from behind as ours."""
     import mitsuba as mi
 
     material = scene.materials[index]
     if material.image is not None:
         raise TypeError("the mitsuba oracle knows uniform albedos only")
     bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(material.albedo)}}
+    if material.glossy is not None:
+        bsdf = glossy_bsdf(material)
     if material.two_sided:
         bsdf = {"type": "twosided", "inner": bsdf}
     triangles = scene.mesh.triangles[scene.mesh.material == index]
