@@ -4,6 +4,7 @@ The convention of everything in this package: orthonormal over the unit sphere, 
 Condon–Shortley phase, so that y₁ = √(3/4π) (y, z, x) with positive signs. `order` is the number of bands, K = order².
 """
 
+from collections.abc import Callable
 from functools import cache, partial
 from math import isqrt
 from typing import Any
@@ -59,53 +60,66 @@ def evaluate(directions: Float[Array, "... 3"] | Float[np.ndarray, "... 3"], ord
     if not jnp.issubdtype(directions.dtype, jnp.floating):
         directions = directions.astype(jnp.float64)
     x, y, z = jnp.moveaxis(directions, -1, 0)
-    cosines, sines = [jnp.ones_like(x)], [jnp.zeros_like(x)]
-    for _ in range(1, order):
-        cosines, sines = (
-            [*cosines, x * cosines[-1] - y * sines[-1]],
-            [*sines, x * sines[-1] + y * cosines[-1]],
-        )
-    cosine, sine = jnp.stack(cosines), jnp.stack(sines)
     in_height = _in_height(z, order)
     if order > _PLAIN:
         near = jnp.abs(z) > 1.0 - 0.5 / order
-        in_height = [jnp.where(near, a, b) for a, b in zip(_near_poles(z, order), in_height, strict=True)]
-    rows = []
-    for band, q in enumerate(in_height):
-        rows += [q[band:0:-1] * sine[band:0:-1], q[: band + 1] * cosine[: band + 1]]
-    return jnp.moveaxis(jnp.concatenate(rows), 0, -1)
+        in_height = jnp.where(near, _near_poles(z, order), in_height)
+    band, m = bands(order), azimuths(order)
+    return jnp.moveaxis(in_height[band, np.abs(m)] * _in_azimuth(x, y, order)[m + order - 1], 0, -1)
 
 
 _PLAIN = 12
 """Orders above this take care of rounding near the poles."""
+_UNROLLED = 6
 
 
-def _in_height(z: Array, order: int) -> list[Array]:
-    """Per band the polynomials q[m, …] in z of y_lm = q · sinᵐθ (cos mφ, sin mφ); rows m > l are zero."""
-    ahead, behind, first = (_against(table, z) for table in _recurrence(order))
-    last = before = jnp.zeros((order, *z.shape), z.dtype)
-    found = []
-    for band in range(order):
-        last, before = ahead[band] * (z * last) - behind[band] * before + first[band], last
-        found.append(last)
-    return found
+def _in_azimuth(x: Array, y: Array, order: int) -> Float[Array, "azimuths ..."]:
+    """sinᵐθ sin mφ for m from order − 1 down to 1, then sinᵐθ cos mφ for m from 0 up: powers of x + iy."""
+
+    def step(power: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        cosine, sine = power
+        return (x * cosine - y * sine, x * sine + y * cosine), power
+
+    _, (cosines, sines) = _scan(step, (jnp.ones_like(x), jnp.zeros_like(x)), None, order)
+    return jnp.concatenate([sines[:0:-1], cosines])
 
 
-def _near_poles(z: Array, order: int) -> list[Array]:
+def _in_height(z: Array, order: int) -> Float[Array, "order order ..."]:
+    """The polynomials q[l, m] in z of y_lm = q · sinᵐθ (cos mφ, sin mφ)."""
+
+    def step(found: tuple[Array, Array], table: tuple[Array, ...]) -> tuple[tuple[Array, Array], Array]:
+        last, before = found
+        ahead, behind, first = table
+        following = ahead * (z * last) - behind * before + first
+        return (following, last), following
+
+    zero = jnp.zeros((order, *z.shape), z.dtype)
+    return _scan(step, (zero, zero), tuple(_against(table, z) for table in _recurrence(order)), order)[1]
+
+
+def _near_poles(z: Array, order: int) -> Float[Array, "order order ..."]:
     """The same, by steps in multiples of 1 − |z|, which is exact near the poles: l² roundings of z are not added up.
 
     r = q(z) / q(1) has r_l − r_{l−1} = ((2l − 1)(z − 1) r_{l−1} + (l − m − 1)(r_{l−1} − r_{l−2})) / (l + m), after Reinsch.
     Away from the poles, where r is small, this would cancel.
     """
-    at_pole, fall, keep, first, odd = (_against(table, z) for table in _steps(order))
     side = jnp.where(z < 0, -1.0, 1.0).astype(z.dtype)
-    ratio = step = jnp.zeros((order, *z.shape), z.dtype)
-    found = []
-    for band in range(order):
-        step = fall[band] * ((side * z - 1.0) * ratio) + keep[band] * step
-        ratio = ratio + step + first[band]
-        found.append(at_pole[band] * ratio * (1.0 + odd[band] * (side - 1.0)))
-    return found
+    gap = side * z - 1.0
+
+    def step(found: tuple[Array, Array], table: tuple[Array, ...]) -> tuple[tuple[Array, Array], Array]:
+        ratio, change = found
+        at_pole, fall, keep, first, odd = table
+        change = fall * (gap * ratio) + keep * change
+        ratio = ratio + change + first
+        return (ratio, change), at_pole * ratio * (1.0 + odd * (side - 1.0))
+
+    zero = jnp.zeros((order, *z.shape), z.dtype)
+    return _scan(step, (zero, zero), tuple(_against(table, z) for table in _steps(order)), order)[1]
+
+
+def _scan(step: Callable[..., Any], start: Any, tables: Any, order: int) -> Any:
+    """A loop over bands; unrolled where that is short, because what is unrolled is compiled for long."""
+    return jax.lax.scan(step, start, tables, order, unroll=order if order <= _UNROLLED else 1)
 
 
 def _against(table: np.ndarray, z: Array) -> np.ndarray:

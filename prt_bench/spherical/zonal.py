@@ -74,16 +74,17 @@ def phong_lobe(exponent: Real | float, order: int) -> Float[Array, "... order"]:
 def cap_lobe(half_angle: Real | float, order: int) -> Float[Array, "... order"]:
     """Factors of the mean over a spherical cap of a half-angle in [0, π] radians: all ones at 0, the mean alone at π.
 
-    2 cos²(α/2) P_l′(cos α) / (l (l + 1)): no difference of neighbours, so the sun's cap is as exact as a wide one.
-    Differentiable. Times `cap_solid_angle`, the factors of a cap of height 1.
+    cos²(α/2) P_l′(cos α) / P_l′(1), by steps in multiples of 1 − cos α = 2 sin²(α/2): no difference of neighbours, so the
+    sun's cap is as exact as a wide one. Differentiable. Times `cap_solid_angle`, the factors of a cap of height 1.
     """
     count(order)
     angle = as_floating(half_angle)
-    cosine, half = jnp.cos(angle), jnp.cos(0.5 * angle)
-    before, slope, factors = jnp.zeros_like(angle), jnp.ones_like(angle), [jnp.ones_like(angle)]
+    cosine, sine = jnp.cos(0.5 * angle) ** 2, jnp.sin(0.5 * angle) ** 2
+    ratio, step, factors = jnp.ones_like(angle), jnp.zeros_like(angle), [jnp.ones_like(angle)]
     for band in range(1, order):
-        factors.append(2.0 * half * half * slope / (band * (band + 1)))
-        before, slope = slope, ((2 * band + 1) * cosine * slope - (band + 1) * before) / band
+        factors.append(cosine * ratio)
+        step = ((band - 1) * step - (4 * band + 2) * sine * ratio) / (band + 2)
+        ratio = ratio + step
     return jnp.stack(factors, axis=-1)
 
 
