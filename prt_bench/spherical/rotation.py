@@ -81,14 +81,15 @@ def _constants(band: int) -> tuple[Float[np.ndarray, "rows products"], Float[np.
     return rows.reshape(2 * band + 1, -1), 1.0 / np.sqrt(divisor)
 
 
+@jax.jit
 def block_diagonal(blocks: Blocks) -> Float[Array, "... K K"]:
     """The blocks as one matrix."""
-    size = len(blocks) ** 2
-    whole = jnp.zeros((*blocks[0].shape[:-2], size, size), blocks[0].dtype)
+    size, around = len(blocks) ** 2, [(0, 0)] * (blocks[0].ndim - 2)
+    rows = []
     for band, block in enumerate(blocks):
-        part = slice(band * band, (band + 1) ** 2)
-        whole = whole.at[..., part, part].set(block)
-    return whole
+        sides = (band * band, size - (band + 1) ** 2)
+        rows.append(jnp.pad(block, [*around, (0, 0), sides]))
+    return jnp.concatenate(rows, axis=-2)
 
 
 def apply(blocks: Blocks, coefficients: Float[Array, "..."]) -> Float[Array, "..."]:
