@@ -88,7 +88,7 @@ def test_gradients_are_differences_at_the_poles_and_elsewhere(directions, order)
 def test_reverse_mode_is_finite_at_the_poles():
     for dtype in (np.float32, np.float64):
         pole = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], dtype)
-        slope = jax.jacrev(lambda d: evaluate(d, 30))(pole)
+        slope = jax.grad(lambda d: jnp.sum(evaluate(d, 30)))(pole)
         assert bool(jnp.all(jnp.isfinite(slope)))
     # y₁₁ = a x and y₂₁ = b x z: what spherical angles cannot tell at the pole
     at_pole = jax.jacrev(lambda d: evaluate(d, 3))(jnp.array([0.0, 0.0, 1.0]))

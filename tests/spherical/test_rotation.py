@@ -10,7 +10,7 @@ from prt_bench.hemisphere import tangent_frames
 from prt_bench.spherical import apply, block_diagonal, evaluate, reconstruct, rotate, rotation_blocks
 
 
-@pytest.mark.parametrize(("order", "tolerance"), [(1, 1e-15), (2, 1e-15), (5, 1e-14), (10, 1e-13), (20, 1e-12)])
+@pytest.mark.parametrize(("order", "tolerance"), [(1, 1e-15), (2, 1e-15), (5, 1e-14), (10, 1e-13)])
 def test_turned_directions_have_turned_harmonics(rotations, directions, order, tolerance):
     """y(R ω) = D y(ω), of every block."""
     turned = evaluate(np.einsum("rij,dj->rdi", rotations, directions), order)
@@ -89,6 +89,16 @@ def test_groups_of_rotations_do_not_show(monkeypatch):
     jax.clear_caches()
     np.testing.assert_allclose(rotate(coefficients, rotations), whole, atol=1e-14)
     jax.clear_caches()
+
+
+def test_many_rotations_are_differentiable(rotations):
+    """The adjoint of a rotation is its inverse; the derivative in the matrices is finite."""
+    values = jnp.asarray(np.random.default_rng(5).normal(size=(len(rotations), 9)))
+    loss = jax.grad(lambda v, r: 0.5 * jnp.sum(rotate(v, r) ** 2 + v * rotate(v, r)), argnums=(0, 1))
+    by_values, by_rotations = loss(values, jnp.asarray(rotations))
+    wanted = values + 0.5 * (rotate(values, rotations) + rotate(values, np.swapaxes(rotations, 1, 2)))
+    np.testing.assert_allclose(by_values, wanted, atol=1e-13)
+    assert bool(jnp.all(jnp.isfinite(by_rotations)))
 
 
 def test_the_derivative_is_that_of_the_group_everywhere(rotations):
