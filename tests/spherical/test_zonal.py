@@ -152,7 +152,7 @@ def test_no_positive_window_is_sharper(order):
 
 
 def test_a_delta_light_rings_and_windows_quieten_it():
-    """The undershoot at order 5 relative to the peak: −22 % plain, less under each window."""
+    """The undershoot at order 5 relative to the peak: −15 % plain, less under each window."""
     t = np.linspace(-1, 1, 2001)
     kernel = np.polynomial.legendre.legvander(t, 4) * (2 * np.arange(5) + 1)
     low = {name: (kernel @ w).min() / (kernel @ w).max() for name, w in

@@ -131,7 +131,7 @@ def rotation_gradient(tested: Any, posed: tuple[np.ndarray, int], route: Route) 
 
 @case("D4", "delta lights under the positive window", subjects=spherical, family=_orders, routes=_BOTH)
 def undershoot(tested: Any, order: int, route: Route) -> Iterator[Measured]:
-    """D4: nowhere negative, relative to the peak, with the mean kept; without a window it undershoots by a seventh or more."""
+    """D4: nowhere negative, relative to the peak, with the mean kept; without a window it undershoots by an eighth or more."""
     factors = tested.positive(order)
     towards = route.arrive(np.array([[0.48, 0.6, 0.64]]))
     light = tested.convolve(tested.evaluate(towards, order), factors)[0]
