@@ -11,6 +11,9 @@ from prt_bench.linalg import cut_gap, relative_damping, ridge, safe_norm
 from prt_bench.methods.examples import weighted_mean
 from prt_bench.models import LinearModel
 
+_ONE_COLOUR = 1e-5
+"""Second singular value of the lightings' colours, relative to the first, up to which they are one."""
+
 
 def regress(
     x: Float[Array, "M n"],
@@ -85,4 +88,17 @@ def warn_of_rank(label: str, model: LinearModel) -> None:
     elif cut_gap(model.singular_values, size) < 1e-12:
         warnings.warn(
             f"{label}: singular values {size} and {size + 1} are equal, so the basis is arbitrary", stacklevel=3
+        )
+
+
+def warn_of_one_colour(label: str, measured: Float[Array, "N M C"]) -> None:
+    """Warn when all training light has one colour: a model that couples channels then knows of no other."""
+    if isinstance(measured, Tracer):
+        return
+    values = np.linalg.svd(np.asarray(jnp.sum(measured, axis=1)), compute_uv=False)
+    if values[1] <= _ONE_COLOUR * values[0]:
+        warnings.warn(
+            f"{label}: all training light has one colour, and coupled channels predict no other;"
+            " train under coloured lights, or use transfer = 'shared'",
+            stacklevel=3,
         )

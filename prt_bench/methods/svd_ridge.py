@@ -14,7 +14,7 @@ from prt_bench.linalg import leading_basis
 from prt_bench.methods.base import Method
 from prt_bench.methods.blocks import Blocks, fit_by_blocks
 from prt_bench.methods.examples import Norm, measured_light, normalised, training_light
-from prt_bench.methods.linear import linear_model, regress, warn_of_rank
+from prt_bench.methods.linear import linear_model, regress, warn_of_one_colour, warn_of_rank
 from prt_bench.models import CoupledModel, LinearModel, Model, Observed, interleaved
 
 Transfer = Literal["shared", "per-channel", "coupled"]
@@ -63,6 +63,7 @@ class SvdRidge(Method):
         channels = measured.shape[2]
         coupled = self.transfer == "coupled" and channels > 1
         if coupled:
+            warn_of_one_colour(self.label, measured)
             measured = interleaved(measured)
             indirect = indirect if indirect is None else interleaved(indirect)
             blocks = blocks and blocks.interleaved()
