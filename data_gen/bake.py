@@ -52,6 +52,7 @@ def bake(
     layout: LightingDataset | None = None,
     streamed: int = 0,
     measure_on: MeasureOn = "surface",
+    vertices: bool = False,
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -68,6 +69,8 @@ def bake(
     learn from thousands of lightings through the traced operator.
 
     Direct light is measured on the surface, or, with `measure_on` "hull", around the bodies (see `hull_scene`).
+
+    With `vertices` the mesh's vertices are traced too, for methods that store transfer there.
 
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
@@ -89,6 +92,7 @@ def bake(
         workers,
         streamed,
         measure_on,
+        vertices,
     )
     if layout is not None:
         if "hull" in (measure_on, layout.metadata.get("measure_on")):

@@ -64,6 +64,7 @@ class Plan:
     channels: int
     convex: str | None
     effects: tuple[str, ...]
+    vertices: bool
     decisions: tuple[Decision, ...]
     cost: Cost
 
@@ -111,6 +112,7 @@ def plan(
     workers: int | None = None,
     streamed: int = 0,
     measure_on: MeasureOn = "surface",
+    vertices: bool = False,
 ) -> Plan:
     """Decide what baking `scene` needs.
 
@@ -162,7 +164,11 @@ def plan(
         ),
         Decision("rays per point", str(rays), "as asked; the noise is measured from their two halves"),
     )
-    draft = Plan(texels, gather, rays, bounces, tolerance, channels, convex, (), decisions, Cost(0, 0, 0, 0, 0.0))
+    if vertices:
+        decisions += (Decision("vertices", "traced", "as asked, for transfer that is stored there"),)
+    draft = Plan(
+        texels, gather, rays, bounces, tolerance, channels, convex, (), vertices, decisions, Cost(0, 0, 0, 0, 0.0)
+    )
     count = lightings + max(16, ceil(lightings / 4)) + 16 * len(ood)
     dense = measurements * supersampling
     return replace(draft, cost=_predict(draft, scene, scenario, count, dense, workers, streamed))
@@ -214,7 +220,7 @@ def _predict(
     traced = receivers if shared else receivers + samples
     lit = receivers + dense + (0 if shared else samples)
     columns = lightings * draft.channels
-    gather_rays = traced * draft.rays
+    gather_rays = (traced + draft.vertices * len(scene.mesh.vertices)) * draft.rays
     lit_points = lit * lightings + (samples + dense) * streamed
     shadow_rays = 0 if draft.convex == "outside" else lit_points * _LIGHT_SAMPLES.get(scenario, 1)
     ray_rate, sum_rate = _rates(scene, workers)

@@ -11,6 +11,7 @@ from data_gen.journal import content_key, create_array, resumable
 from data_gen.plan import Plan
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
+from data_gen.vertices import shading_vertices
 from prt_bench.dataset import Transport
 from prt_bench.errors import SpecError
 from prt_bench.hemisphere import SAMPLER, HemisphereSampler
@@ -38,6 +39,7 @@ def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | N
             "rays": settings.rays,
             "tolerance": settings.tolerance,
             "effects": settings.effects,
+            **({"vertices": True} if settings.vertices else {}),
             "seed": seed,
         }
     )
@@ -64,7 +66,10 @@ def trace(
     resolver = HitResolver.create(scene.mesh, gather_map, samples, hidden if shared else buried(tracer, samples, seed))
     sampler = HemisphereSampler.create(settings.rays, seed)
 
-    tables = [("receiver_hits", receivers)] + ([] if shared else [("sample_hits", samples)])
+    vertices, corner = shading_vertices(scene) if settings.vertices else (None, None)
+    tables = [("receiver_hits", receivers)]
+    tables += [] if shared else [("sample_hits", samples)]
+    tables += [] if vertices is None else [("vertex_hits", vertices)]
     chunks = [(name, points, slice(at, at + CHUNK)) for name, points in tables for at in range(0, len(points), CHUNK)]
     needed = sum(len(points) for _, points in tables) * settings.rays * resolver.sample.dtype.itemsize
     with resumable(path, int(1.1 * needed)) as (partial, journal):
@@ -81,6 +86,9 @@ def trace(
         write_points(group, "receivers", receivers)
         write_array(group, "buried", hidden)
         write_points(group, "samples", samples)
+        if vertices is not None:
+            write_points(group, "vertices", vertices)
+            write_array(group, "corner", corner)
         for name, array in zip(SAMPLER, (sampler.local, np.stack(sampler.jitter)), strict=True):
             write_array(group, name, np.asarray(array))
         sample_hits = "receiver_hits" if shared else "sample_hits"

@@ -18,11 +18,21 @@ from safetensors.numpy import load, save
 
 from prt_bench.errors import AssetError
 from prt_bench.gamma import GammaCoupledModel, GammaLinearModel
+from prt_bench.harmonic import HarmonicIndirectModel, HarmonicModel, VertexHarmonicModel
 from prt_bench.models import CoupledModel, LinearModel, Model, NearestModel
 
 FORMAT = "prt-bench runtime asset"
 VERSION = 1
-_MODELS: tuple[type[Model], ...] = (LinearModel, CoupledModel, GammaLinearModel, GammaCoupledModel, NearestModel)
+_MODELS: tuple[type[Model], ...] = (
+    LinearModel,
+    CoupledModel,
+    GammaLinearModel,
+    GammaCoupledModel,
+    NearestModel,
+    HarmonicModel,
+    HarmonicIndirectModel,
+    VertexHarmonicModel,
+)
 DTYPES = ("float32", "float16")
 """What a basis can be stored in."""
 
@@ -46,13 +56,18 @@ class RuntimeAsset:
         """Bytes of each stored array."""
         return {name: array.nbytes for name, array in self.arrays.items()}
 
+    @property
+    def includes_direct(self) -> bool:
+        """Whether it replaces direct light too, so that the runtime draws none and no shadow maps."""
+        return self.kernels.get("direct") == "included"
+
     def model(self) -> Model:
         """The model with the weights as stored, computing in float32: what the runtime is compared with."""
         weights = {name: jnp.asarray(array, jnp.float32) for name, array in self.arrays.items()}
         return _model_class(self.kernels)(**weights)
 
     def predict(self, ds: object) -> Float[np.ndarray, "N T C"]:
-        """Indirect irradiance from the stored weights, in float32."""
+        """Indirect irradiance from the stored weights, in float32; with the direct where the asset includes it."""
         model = self.model()
         x = jnp.asarray(model.measure(ds), jnp.float32)  # pyright: ignore[reportArgumentType]
         return np.asarray(model.reconstruct(model.transfer(x)))

@@ -47,6 +47,7 @@ class Transport:
     bounces: int
     key: str
     sampler: HemisphereSampler | None = None
+    vertices: "Vertices | None" = None
 
     @classmethod
     def open(cls, path: Path) -> "Transport":
@@ -62,10 +63,19 @@ class Transport:
             member(group, str(group.attrs["sample_hits"])),
             int(group.attrs["bounces"]),
             str(group.attrs["key"]),
-            HemisphereSampler.stored(
-                *(np.asarray(member(group, name)[...]) for name in SAMPLER), int(group.attrs["seed"])
-            ),
+            _read_sampler(group),
+            _read_vertices(group),
         )
+
+    def at_vertices(self) -> "tuple[Transport, Int[np.ndarray, 'F 3']]":
+        """The same transport with the mesh's vertices as receivers, and the vertex of each face corner.
+
+        Raises `DatasetError` when they were not traced.
+        """
+        if self.vertices is None:
+            raise DatasetError(f"the vertices of '{self.scene.name}' were not traced; bake it with vertices = true")
+        points, corner, hits = self.vertices
+        return replace(self, receivers=points, buried=np.zeros(len(points), bool), receiver_hits=hits), corner
 
     def sample_gather(self, half: int | None = None, differentiable: bool = False) -> GatherOperator:
         """The operator from samples to samples; `half` 0 or 1 takes one half of the rays, None all of them."""
@@ -82,6 +92,15 @@ class Transport:
         columns = slice(None) if half is None else slice(half * rays // 2, (half + 1) * rays // 2)
         hits = np.asarray(table[rows, columns], np.int32)
         return GatherOperator.from_hits(hits, len(self.samples), differentiable)
+
+
+class Vertices(NamedTuple):
+    """The V vertices of the mesh as receivers of their own: `hits` [V, R] as in the other tables, `corner` [F, 3] the vertex
+    of each face corner."""
+
+    points: SurfacePoints
+    corner: Int[np.ndarray, "F 3"]
+    hits: Int[np.ndarray, "V R"] | zarr.Array
 
 
 class Streamed(NamedTuple):
@@ -232,3 +251,16 @@ class LightingDataset:
 
     def _load(self, name: str) -> np.ndarray:
         return np.asarray(self.arrays[name][slice(*self.rows)])
+
+
+def _read_vertices(group: Any) -> Vertices | None:
+    if "vertex_hits" not in group:
+        return None
+    return Vertices(
+        read_points(group, "vertices"), np.asarray(member(group, "corner")[...]), member(group, "vertex_hits")
+    )
+
+
+def _read_sampler(group: Any) -> HemisphereSampler:
+    local, jitter = (np.asarray(member(group, name)[...]) for name in SAMPLER)
+    return HemisphereSampler.stored(local, jitter, int(group.attrs["seed"]))

@@ -95,6 +95,7 @@ def errors(fitted: Model | None, ds: LightingDataset, asset: RuntimeAsset | None
         psnr=mean(figures["psnr"]),
         negative_share=mean(figures["negative"]),
         energy_bias=mean(figures["energy"]),
+        total=root_mean_square(figures["total"]),
         noise_floor=ds.noise_floor,
         projection=root_mean_square(figures["projection"]) if "projection" in figures else None,
         coefficient=root_mean_square(figures["coefficient"]) if "coefficient" in figures else None,
@@ -111,10 +112,15 @@ def split_name(ds: LightingDataset) -> str:
 def _chunk_figures(
     fitted: Model | None, asset: RuntimeAsset | None, ds: LightingDataset, span: Float[np.ndarray, "T B"] | None
 ) -> dict[str, Float[np.ndarray, " N"]]:
-    reference = np.asarray(ds.indirect, np.float64)
-    predictions = [np.asarray(source.predict(ds), np.float64) for source in (asset, fitted) if source is not None]
+    reference, direct = np.asarray(ds.indirect, np.float64), np.asarray(ds.direct, np.float64)
+    sources = [source for source in (asset, fitted) if source is not None]
+    # Where a method replaces direct light as well, its errors there count: for all others the direct light is exact.
+    predictions = [np.asarray(source.predict(ds), np.float64) - source.includes_direct * direct for source in sources]
     prediction = predictions[0]
     figures = dict(lightmap_figures(prediction, reference))
+    figures["total"] = relative_norm(prediction - reference, reference + direct)
+    if sources[0].includes_direct:
+        figures["negative"] = np.mean(prediction + direct < 0, axis=(1, 2))
     if len(predictions) == 2:
         figures["storage"] = relative_norm(prediction - predictions[1], reference)
     if span is not None:  # prediction − r splits into parts within and across the span, which are orthogonal

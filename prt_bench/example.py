@@ -1,6 +1,7 @@
 """A cube room whose rays are traced in closed form: a small, complete lighting dataset that needs no ray tracer.
 
-The contract checks and many tests run on it; it is convex, so nothing is ever in shadow.
+The contract checks and many tests run on it. It is convex, so nothing is ever in shadow. With five walls its front is
+open, and distant light comes in.
 """
 
 import jax
@@ -8,39 +9,52 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from prt_bench.dataset import LightingDataset, Transport
+from prt_bench.dataset import LightingDataset, Transport, Vertices
 from prt_bench.emitters import irradiance
+from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.lights import Lighting, PointLight, emitters
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Camera, Material, Mesh, Scene
 from prt_bench.transport import final_gather, radiosity
 
-_SIDES = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+_SIDES = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]  # the front, +z, is the last
 _MATERIAL = np.array([1, 2, 0, 0, 0, 0])  # red and green walls, the rest white
+_INWARD = 1e-3  # how far vertices are drawn into their wall, as in a bake
 
 
 def example_dataset(
-    seed: int = 0, texels: int = 6, lightings: int = 24, measurements: int = 24, rays: int = 64, bounces: int = 6
+    seed: int = 0,
+    texels: int = 6,
+    lightings: int = 24,
+    measurements: int = 24,
+    rays: int = 64,
+    bounces: int = 6,
+    walls: int = 6,
 ) -> LightingDataset:
     """A white cube room of side 2 m with a red and a green wall, under coloured point lights.
 
-    `texels`² receivers on each of the six walls, which are the gather samples too. The splits are "train" with `lightings`
-    lightings, of which the second is black, and "test" with half as many. As many again as of both are streamed.
+    `texels`² receivers on each of its walls, which are the gather samples too; the four corners of each wall are its
+    vertices. The splits are "train" with `lightings` lightings, of which the second is black, and "test" with half as many.
+    As many again as of both are streamed.
     """
     rng = np.random.default_rng(seed)
-    scene = _room()
-    points = _wall_points(scene, texels)
-    hits = _trace(points, texels, rays, rng)
+    scene = _room(walls)
+    points = _wall_points(scene, texels, walls)
+    sampler = HemisphereSampler.create(rays, seed)
+    vertices = _corners(scene)
+    hits, at_vertices = (_trace(part, texels, walls, sampler) for part in (points, vertices))
     transport = Transport(
         scene,
-        _atlas(texels),
+        _atlas(texels, walls),
         points,
         np.zeros(len(points), bool),
         points,
         hits,
         hits,
         bounces,
-        f"example-{seed}-{texels}-{rays}",
+        f"example-{seed}-{texels}-{rays}-{walls}",
+        sampler,
+        Vertices(vertices, scene.mesh.faces, at_vertices),
     )
 
     count = lightings + lightings // 2
@@ -93,15 +107,15 @@ def _bounced(transport: Transport, direct: Float[np.ndarray, "N S 3"], half: int
     return np.asarray(final_gather(transport.receiver_gather(half=half), outgoing))
 
 
-def _room() -> Scene:
-    faces = [(4 * side + a, 4 * side + b, 4 * side + c) for side in range(6) for a, b, c in ((0, 1, 2), (3, 2, 1))]
-    vertices = np.concatenate([_on_side(side, np.array([[0, 0], [1, 0], [0, 1], [1, 1]])) for side in range(6)])
+def _room(walls: int) -> Scene:
+    faces = [(4 * side + a, 4 * side + b, 4 * side + c) for side in range(walls) for a, b, c in ((0, 1, 2), (3, 2, 1))]
+    vertices = np.concatenate([_on_side(side, np.array([[0, 0], [1, 0], [0, 1], [1, 1]])) for side in range(walls)])
     materials = (
         Material("white", (0.7, 0.7, 0.7)),
         Material("red", (0.6, 0.1, 0.1)),
         Material("green", (0.1, 0.5, 0.1)),
     )
-    mesh = Mesh(vertices, np.array(faces), np.repeat(_MATERIAL, 2))
+    mesh = Mesh(vertices, np.array(faces), np.repeat(_MATERIAL[:walls], 2))
     return Scene("cube", mesh, materials, Camera((0.0, 0.0, 0.95), (0.0, 0.0, -1.0), fov_y=80.0))
 
 
@@ -121,23 +135,32 @@ def _grid(texels: int) -> Float[np.ndarray, "P 2"]:
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
 
-def _wall_points(scene: Scene, texels: int) -> SurfacePoints:
+def _wall_points(scene: Scene, texels: int, walls: int) -> SurfacePoints:
     """Texel centres, wall by wall, row by row."""
     uv = _grid(texels)
     upper = uv.sum(axis=1) > 1.0
     u, v = uv[:, :1], uv[:, 1:]
     barycentric = np.where(upper[:, None], np.hstack([u + v - 1, 1 - u, 1 - v]), np.hstack([1 - u - v, u, v]))
-    face = np.concatenate([2 * side + upper for side in range(6)]).astype(int)
-    barycentric = np.tile(barycentric, (6, 1))
-    position = np.concatenate([_on_side(side, uv) for side in range(6)])
+    face = np.concatenate([2 * side + upper for side in range(walls)]).astype(int)
+    barycentric = np.tile(barycentric, (walls, 1))
+    position = np.concatenate([_on_side(side, uv) for side in range(walls)])
     return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
 
 
-def _trace(points: SurfacePoints, texels: int, rays: int, rng: np.random.Generator) -> Int[np.ndarray, "T R"]:
-    """Cosine-weighted rays to the wall they meet: a point on the unit sphere plus the normal is Lambert-distributed."""
-    direction = rng.normal(size=(len(points), rays, 3))
-    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-    direction += points.normal[:, None]
+def _corners(scene: Scene) -> SurfacePoints:
+    """The vertices of all walls, each drawn into the first of its faces."""
+    corner = scene.mesh.faces
+    _, first = np.unique(corner, return_index=True)
+    face, place = first // 3, first % 3
+    barycentric = np.full((len(first), 3), _INWARD)
+    barycentric[np.arange(len(first)), place] = 1.0 - 2.0 * _INWARD
+    position = np.einsum("pc,pcd->pd", barycentric, scene.mesh.triangles[face])
+    return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
+
+
+def _trace(points: SurfacePoints, texels: int, walls: int, sampler: HemisphereSampler) -> Int[np.ndarray, "P R"]:
+    """The texel that each ray meets; what leaves through the open front has escaped."""
+    direction = sampler.directions(0, points.normal).astype(float)
     origin = points.position[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = (np.sign(direction) - origin) / direction
@@ -148,15 +171,17 @@ def _trace(points: SurfacePoints, texels: int, rays: int, rng: np.random.Generat
     u = np.take_along_axis(hit, ((axis + 1) % 3)[..., None], axis=-1)[..., 0]
     v = np.take_along_axis(hit, ((axis + 2) % 3)[..., None], axis=-1)[..., 0]
     column, row = (np.clip(((c + 1) / 2 * texels).astype(int), 0, texels - 1) for c in (-sign * u, v))
-    return ((2 * axis + (sign > 0)) * texels + row) * texels + column
+    side = 2 * axis + (sign > 0)
+    samples = walls * texels**2
+    return np.where(side < walls, (side * texels + row) * texels + column, samples + 1)
 
 
-def _atlas(texels: int) -> Lightmap:
-    """Six squares in two rows of three."""
+def _atlas(texels: int, walls: int) -> Lightmap:
+    """A square for each wall, in two rows of three."""
     resolution = 3 * texels
-    corner = np.array([(side % 3, side // 3) for side in range(6)])
+    corner = np.array([(side % 3, side // 3) for side in range(walls)])
     cell = np.stack(np.meshgrid(np.arange(texels), np.arange(texels), indexing="xy"), axis=-1).reshape(-1, 2)
     pixel = (corner[:, None] * texels + cell).reshape(-1, 2)
     quad = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0, 1], [1, 0]]).reshape(2, 3, 2)
     uv = ((corner[:, None, None] + quad) / 3.0).reshape(-1, 3, 2)
-    return Lightmap(resolution, pixel[:, 1] * resolution + pixel[:, 0], uv, np.repeat(np.arange(6), 2))
+    return Lightmap(resolution, pixel[:, 1] * resolution + pixel[:, 0], uv, np.repeat(np.arange(walls), 2))

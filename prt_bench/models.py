@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from prt_bench.errors import FitError
+from prt_bench.lights import Lighting
 from prt_bench.linalg import safe_norm
 
 if TYPE_CHECKING:
@@ -25,13 +26,22 @@ class Observed(Protocol):
     measured: Float[np.ndarray, "N M C"]
     indirect: Float[np.ndarray, "N T C"]
     indirect_half: Float[np.ndarray, "N T C"]
+    lightings: tuple[Lighting, ...]
 
 
 class Model(eqx.Module):
     """A fitted model. Every stage is differentiable and can be jitted and vmapped over its arrays."""
 
     kernels: ClassVar[dict[str, str]]
-    """Names of the runtime kernels of the three stages; empty for models that cannot run in real time."""
+    """Names of the runtime kernels of the three stages; empty for models that cannot run in real time.
+
+    With "direct": "included" a prediction holds the direct light too, and the runtime adds none.
+    """
+
+    @property
+    def includes_direct(self) -> bool:
+        """Whether predictions hold the direct light too."""
+        return self.kernels.get("direct") == "included"
 
     def __hash__(self) -> int:
         """By identity, so that `jax.jit(model.transfer)` takes a stage as it is (Equinox modules hash by content)."""
@@ -47,7 +57,7 @@ class Model(eqx.Module):
 
     @abstractmethod
     def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
-        """Indirect irradiance at the receivers from the coefficients, W/m²."""
+        """Indirect irradiance at the receivers from the coefficients, W/m²; all of it where the kernels include the direct."""
 
     def predict(self, ds: Observed) -> Float[Array, "N T C"]:
         """All three stages."""

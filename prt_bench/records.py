@@ -25,10 +25,12 @@ class Errors:
     """Error figures on one split of held-out lightings. None where a figure was not measured.
 
     Relative figures, but for `runtime`, are root mean squares over lightings of ‖error‖ / ‖reference‖, so every lighting
-    weighs the same; relative_rmse² = projection² + coefficient² for an orthonormal basis. Black lightings are left out.
+    weighs the same; relative_rmse² = projection² + coefficient² for an orthonormal basis. Black lightings are left out. The
+    error of a method that replaces direct light too includes what it gets wrong there, over the indirect light like any other.
 
     rmse [W/m²], relative_rmse, psnr [dB] (peak: largest reference value of each lighting), negative_share (of predicted
-    values), energy_bias (relative error of the mean irradiance, signed), noise_floor (split halves of the rays), projection
+    values), energy_bias (relative error of the mean irradiance, signed), total (the same error over direct and indirect light
+    together), noise_floor (split halves of the rays), projection
     (best the basis can do), coefficient (what transfer adds to it), storage (asset against the float64 model), runtime (GL
     against JAX, same measured vector, the worst of a few lightings), measurement (GL shadow-mapped direct light against
     ray-traced), flip and ssim (of a frame under the first lighting against the frame lit by the reference lightmap).
@@ -39,6 +41,7 @@ class Errors:
     psnr: float | None = None
     negative_share: float | None = None
     energy_bias: float | None = None
+    total: float | None = None
     noise_floor: float | None = None
     projection: float | None = None
     coefficient: float | None = None

@@ -32,6 +32,7 @@ class BakeSpec:
     gather_texels: int | None = None
     streamed: int = 0
     measure_on: str = "surface"
+    vertices: bool = False
 
 
 @dataclass(frozen=True)

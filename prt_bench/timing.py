@@ -13,6 +13,7 @@ from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
 from prt_bench.emitters import Emitters, irradiance
 from prt_bench.errors import SpecError
+from prt_bench.harmonic import HarmonicModel
 from prt_bench.lights import emitters
 from prt_bench.records import Stage, Timing
 
@@ -53,8 +54,8 @@ def time_stages(
     """Wall-clock timings of measure, transfer and reconstruct per asset, for the first lighting of `ds`.
 
     Compiled, in float32. Measuring is irradiance at the dense points times a given visibility (finding it is not
-    counted) and the average over groups; it is the same for all assets. Rounds are interleaved over stages and assets.
-    Raises `SpecError` for less than one round.
+    counted) and the average over groups, the same for all assets that measure there, or the projection of the light onto
+    harmonics. Rounds are interleaved over stages and assets. Raises `SpecError` for less than one round.
     """
     lights = jax.tree.map(lambda leaf: jnp.asarray(leaf[0], jnp.float32), emitters(ds.lightings[:1]))
     position, normal = (jnp.asarray(part, jnp.float32) for part in (ds.dense_points.position, ds.dense_points.normal))
@@ -65,11 +66,14 @@ def time_stages(
     def measure(lights: Emitters, visibility: jax.Array) -> jax.Array:
         return irradiance(lights, position, normal, visibility)[groups].mean(axis=1)[None]
 
-    x = measure(lights, visibility)
-
     works: dict[tuple[str, str], Callable[[], jax.Array]] = {("", "measure"): partial(measure, lights, visibility)}
     for label, asset in assets.items():
         model = asset.model()
+        measuring = "", "measure"
+        if isinstance(model, HarmonicModel):
+            measuring = label, "measure"
+            works[measuring] = partial(jax.jit(model.observe), lights)
+        x = works[measuring]()
         transfer, reconstruct = jax.jit(model.transfer), jax.jit(model.reconstruct)
         u = transfer(x)
         works[label, "transfer"] = partial(transfer, x)
@@ -91,7 +95,7 @@ def time_stages(
             clock="wall",
             resolution=None,
             stages={
-                "measure": stages["", "measure"],
+                "measure": stages.get((label, "measure"), stages["", "measure"]),
                 "transfer": stages[label, "transfer"],
                 "reconstruct": stages[label, "reconstruct"],
             },

@@ -11,6 +11,11 @@ out vec2 lightmap_uv;
 out vec2 image_uv;
 flat out vec3 normal;
 flat out vec3 albedo;
+#ifdef RECONSTRUCT_VERTICES
+in int in_vertex;
+layout(std430, binding = 8) readonly buffer Light { vec4 light[]; };
+out vec3 vertex_light;
+#endif
 #endif
 
 uniform mat4 camera;
@@ -25,5 +30,8 @@ void main() {
     lightmap_uv = in_lightmap_uv;
     image_uv = in_image_uv;
     albedo = in_albedo;
+#ifdef RECONSTRUCT_VERTICES
+    vertex_light = light[in_vertex].rgb;
+#endif
 #endif
 }

@@ -1,16 +1,22 @@
 // Indirect irradiance at a lightmap coordinate, by the one kernel that is compiled in:
 // RECONSTRUCT_BASIS    Σ_b u_b φ_b, four basis functions per RGBA layer
 // RECONSTRUCT_COUPLED  the same with a basis for each channel, one channel's layers after another's
+// RECONSTRUCT_CHANNELS the same layout, each channel with coefficients of its own
 // RECONSTRUCT_SELECT   one stored column per channel, scaled
 // RECONSTRUCT_LIGHTMAP the texture itself
+// RECONSTRUCT_VERTICES what was found at the vertices, interpolated by the rasteriser
 // GAMMA takes the sum back along the curve, times the size in the last coefficient.
 #ifdef GAMMA
 #include "gamma.glsl"
 #endif
 
+#ifdef RECONSTRUCT_VERTICES
+in vec3 vertex_light;
+#else
 layout(binding = 1) uniform sampler2DArray basis;
+#endif
 
-#ifndef RECONSTRUCT_LIGHTMAP
+#if !defined(RECONSTRUCT_LIGHTMAP) && !defined(RECONSTRUCT_VERTICES)
 layout(std140, binding = 0) uniform Coefficients { vec4 coefficients[COEFFICIENTS]; };
 #endif
 
@@ -31,6 +37,15 @@ vec3 reconstruction(vec2 uv) {
         for (int c = 0; c < 3; ++c) sum[c] += dot(u, textureLod(basis, vec3(uv, c * LAYERS + layer), 0.0));
     }
     return sum;
+#elif defined(RECONSTRUCT_CHANNELS)
+    vec3 sum = vec3(0.0);
+    for (int layer = 0; layer < LAYERS; ++layer) {
+        int b = 4 * layer;
+        mat4x3 u = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
+        mat3x4 by_channel = transpose(u);
+        for (int c = 0; c < 3; ++c) sum[c] += dot(by_channel[c], textureLod(basis, vec3(uv, c * LAYERS + layer), 0.0));
+    }
+    return sum;
 #elif defined(RECONSTRUCT_SELECT)
     vec3 column;
     for (int c = 0; c < 3; ++c) {
@@ -40,6 +55,8 @@ vec3 reconstruction(vec2 uv) {
     return column * coefficients[0].rgb;
 #elif defined(RECONSTRUCT_LIGHTMAP)
     return textureLod(basis, vec3(uv, 0.0), 0.0).rgb;
+#elif defined(RECONSTRUCT_VERTICES)
+    return vertex_light;
 #endif
 }
 

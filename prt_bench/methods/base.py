@@ -16,13 +16,15 @@ class Method(ABC):
     """A transfer method. Subclasses are final frozen dataclasses whose fields are the settings, one file per method.
 
     `name` is what specs and tables call it, `summary` one line for lists, `citation` a BibTeX key or the equation it
-    comes from, `role` "method", "floor" or "ceiling". Ranges of settings are checked in `__post_init__` with `require`.
+    comes from, `role` "method", "floor" or "ceiling", `learns` whether the fit looks at the training lightings at all.
+    Ranges of settings are checked in `__post_init__` with `require`.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
     citation: ClassVar[str]
     role: ClassVar[str] = "method"
+    learns: ClassVar[bool] = True
 
     @abstractmethod
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> Model:

@@ -131,6 +131,7 @@ METRICS: dict[str, Metric] = {
     for metric in (
         Metric("relative_rmse", "Relative RMSE", "", "error", _error("relative_rmse")),
         Metric("rmse", "RMSE", "W/m²", "error", _error("rmse")),
+        Metric("total", "Relative RMSE of all light", "", "error", _error("total")),
         Metric("flip", "FLIP", "", "error", _error("flip")),
         Metric("psnr", "PSNR", "dB", "error", _error("psnr"), higher_is_better=True, log=False),
         Metric("ssim", "SSIM", "", "error", _error("ssim"), higher_is_better=True, log=False),

@@ -79,6 +79,7 @@ COLUMNS = (
     Column("rank", "", "#", "", True, lambda entry: entry.place, lambda entry: entry.rank),
     _text("label", "Method", lambda entry: entry.row.record.label),
     _number("Accuracy", "relative_rmse", "Rel. RMSE"),
+    _number("Accuracy", "total", "All light"),
     _number("Accuracy", "rmse"),
     _number("Accuracy", "psnr"),
     _number("Accuracy", "flip"),

@@ -4,15 +4,21 @@ from itertools import pairwise
 
 import moderngl
 import numpy as np
+from jaxtyping import Int
 
 from prt_bench.points import Lightmap
 from prt_bench.scene import Material, Scene
 
 
 class MeshBuffers:
-    """Vertex attributes (flat geometric normals, as in the transport) and the vertex range of each albedo image."""
+    """Vertex attributes (flat geometric normals, as in the transport) and the vertex range of each albedo image.
 
-    def __init__(self, context: moderngl.Context, scene: Scene, lightmap: Lightmap) -> None:
+    `corner` is the vertex of each face corner where transfer is stored at vertices.
+    """
+
+    def __init__(
+        self, context: moderngl.Context, scene: Scene, lightmap: Lightmap, corner: Int[np.ndarray, "F 3"] | None = None
+    ) -> None:
         self._context = context
         mesh, materials = scene.mesh, scene.materials
         order = np.argsort(mesh.material, kind="stable")
@@ -29,6 +35,8 @@ class MeshBuffers:
             name: (context.buffer(np.ascontiguousarray(values, "<f4").tobytes()), f"{values.shape[-1]}f4")
             for name, values in per_corner.items()
         }
+        if corner is not None:
+            self._attributes["in_vertex"] = (context.buffer(corner[order].astype("<i4").tobytes()), "1i4")
         self.vertices = 3 * len(order)
         self.has_images = any(material.image is not None for material in materials)
         starts = 3 * np.searchsorted(owner, np.arange(len(materials) + 1))

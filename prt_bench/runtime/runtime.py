@@ -6,14 +6,17 @@ from jaxtyping import Float
 
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
+from prt_bench.errors import AssetError
 from prt_bench.lights import Lighting
 from prt_bench.runtime import shaders
 from prt_bench.runtime.context import check, headless, is_software, renderer
 from prt_bench.runtime.draw import DrawPass, Screen
+from prt_bench.runtime.harmonics import HarmonicAsset, VertexAsset
 from prt_bench.runtime.indirect import Indirect, LoadedAsset, PlainLightmap
 from prt_bench.runtime.lightmap import LightmapLayout
 from prt_bench.runtime.lights import UploadedLights, upload
 from prt_bench.runtime.measure import MeasurePass
+from prt_bench.runtime.measured import MeasuredAsset
 from prt_bench.runtime.mesh import MeshBuffers
 from prt_bench.runtime.projection import camera_matrix
 from prt_bench.runtime.shadow import ShadowPass
@@ -55,7 +58,9 @@ class Runtime:
             "ATLAS_SIZE": f"{shadow_resolution}.0",
             **({"SHADOWS": 1} if shadows else {}),
         }
-        self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap)
+        vertices = ds.transport.vertices
+        self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap, None if vertices is None else vertices.corner)
+        self.mesh_vertices = 0 if vertices is None else len(vertices.points)
         self.layout = LightmapLayout(self.context, ds.lightmap, ds.transport.buried)
         self.screen = Screen(self.context, size)
         self.shadows = ShadowPass(self.context, self.mesh, shadow_resolution, self._lighting_defines)
@@ -83,7 +88,10 @@ class Runtime:
 
     def load(self, asset: RuntimeAsset) -> LoadedAsset:
         """Upload an asset and compile its passes. Raises `AssetError` when it was fitted on another dataset."""
-        return LoadedAsset(self, asset)
+        for kind in (MeasuredAsset, HarmonicAsset, VertexAsset):
+            if kind.runs(asset):
+                return kind(self, asset)
+        raise AssetError(f"{asset.path} has the kernels {asset.kernels}, which this runtime lacks")
 
     def lightmap(self, irradiance: Float[np.ndarray, "T C"]) -> PlainLightmap:
         """Indirect irradiance given per receiver, for frames of a reference or of any prediction."""
@@ -123,8 +131,12 @@ class Runtime:
     def draw(
         self, lights: UploadedLights, indirect: Indirect | None = None, direct: bool = True, exposure: float = 0.0
     ) -> None:
-        """All passes of one frame, as a user would run them: what `frame` reads back and timing times."""
-        self.shadows.run(lights)
+        """All passes of one frame, as a user would run them: what `frame` reads back and timing times.
+
+        An asset that includes direct light is drawn without any other, and needs no shadow maps.
+        """
+        if indirect is None or indirect.needs_shadows:
+            self.shadows.run(lights)
         if indirect is not None:
             indirect.prepare(lights)
         self.shade(lights, indirect, direct, exposure)
@@ -135,7 +147,7 @@ class Runtime:
         """The draw pass and the tone map alone, of what the passes before left."""
         if indirect is not None:
             indirect.bind()
-            pass_ = indirect.draw_pass if direct else indirect.draw_pass_alone
+            pass_ = indirect.draw_pass if direct and not indirect.includes_direct else indirect.draw_pass_alone
         elif direct:
             pass_ = self._baseline
         else:

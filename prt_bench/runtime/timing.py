@@ -24,18 +24,19 @@ def time_assets(
     """Timings of assets of one runtime under one lighting: by wall clock, and on a GPU by timer queries too.
 
     Stages: shadow (all shadow maps), measure, transfer, draw (shading, sky, tone map) and frame, which is all of these
-    as a user would see them, without reading back; `baseline` is the frame without indirect light. Uploading the
-    lighting is not counted. Rounds are interleaved over passes and assets. Raises `SpecError` for less than one round.
+    as a user would see them, without reading back; `baseline` is the frame without indirect light. An asset that includes
+    direct light has no shadow stage. Uploading the lighting is not counted. Rounds are interleaved over passes and assets.
+    Raises `SpecError` for less than one round.
     """
     (runtime,) = {asset.runtime for asset in loaded.values()}
     lights = runtime.light(lighting)
     works: dict[tuple[str, str], Callable[[], None]] = {
         ("", "shadow"): partial(runtime.shadows.run, lights),
-        ("", "measure"): partial(runtime.measurement.run, lights),
         ("", "baseline"): partial(runtime.draw, lights),
     }
     for label, asset in loaded.items():
-        works[label, "transfer"] = asset.transfer_pass.run
+        works[label, "measure"] = partial(asset.measure, lights)
+        works[label, "transfer"] = asset.transfer
         works[label, "draw"] = partial(runtime.shade, lights, asset)
         works[label, "frame"] = partial(runtime.draw, lights, asset)
 
@@ -45,10 +46,13 @@ def time_assets(
         name: interleaved(works, partial(clock, runtime.context), rounds, warmup) for name, clock in clocks.items()
     }
     check(runtime.context, "timing")
-    return {label: tuple(_timing(runtime, name, stages[name], label) for name in clocks) for label in loaded}
+    return {
+        label: tuple(_timing(runtime, name, stages[name], label, loaded[label].needs_shadows) for name in clocks)
+        for label in loaded
+    }
 
 
-def _timing(runtime: Runtime, clock: str, stages: Mapping[tuple[str, str], Stage], label: str) -> Timing:
+def _timing(runtime: Runtime, clock: str, stages: Mapping[tuple[str, str], Stage], label: str, shadows: bool) -> Timing:
     return Timing(
         api="gl",
         device=runtime.device,
@@ -56,8 +60,8 @@ def _timing(runtime: Runtime, clock: str, stages: Mapping[tuple[str, str], Stage
         clock=clock,
         resolution=runtime.size,
         stages={
-            "shadow": stages["", "shadow"],
-            "measure": stages["", "measure"],
+            **({"shadow": stages["", "shadow"]} if shadows else {}),
+            "measure": stages[label, "measure"],
             "transfer": stages[label, "transfer"],
             "draw": stages[label, "draw"],
             "frame": stages[label, "frame"],

@@ -37,9 +37,9 @@ class Rig(NamedTuple):
 
 
 @cache
-def room() -> LightingDataset:
-    """The cube room under point lights."""
-    return example_dataset(texels=4, lightings=LIGHTINGS, measurements=MEASUREMENTS, rays=32)
+def room(walls: int = 5) -> LightingDataset:
+    """The cube room under point lights; with five walls distant light comes in at the front."""
+    return example_dataset(texels=4, lightings=LIGHTINGS, measurements=MEASUREMENTS, rays=32, walls=walls)
 
 
 @cache
@@ -63,6 +63,11 @@ def dataset(measured: Any, indirect: Any, split: str = "train") -> SimpleNamespa
     ds = room().split(split)
     fixed = {name: getattr(ds, name) for name in _FIXED}
     return SimpleNamespace(**fixed, measured=measured, indirect=indirect, indirect_half=indirect)
+
+
+def relit(ds: SimpleNamespace, measured: Any, indirect: Any) -> SimpleNamespace:
+    """A rig's dataset with other light, and everything else as it is."""
+    return SimpleNamespace(**{**vars(ds), "measured": measured, "indirect": indirect, "indirect_half": indirect})
 
 
 def _weights(seed: int) -> dict[str, Float[np.ndarray, "N L 3"]]:

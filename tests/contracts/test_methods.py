@@ -11,7 +11,7 @@ from prt_bench.methods import methods
 from prt_bench.methods.base import Method
 from prt_bench.models import LinearModel
 
-DATASET = example_dataset()
+DATASET = example_dataset(walls=5)
 
 
 @pytest.mark.parametrize("name", methods())

@@ -148,7 +148,7 @@ def test_linear_assets_predict_as_in_jax(dtype, channels, basis, cornell, runtim
     x = np.random.default_rng(basis).random((len(cornell.groups), 3)).astype(np.float32)
     model, loaded = asset.model(), runtime.load(asset)
     u = model.transfer(jnp.asarray(x[None]))
-    assert relative(loaded.transfer(x), np.asarray(u[0])) < 1e-5
+    assert relative(loaded.coefficients_of(x), np.asarray(u[0])) < 1e-5
     assert relative(loaded.predict(x), np.asarray(model.reconstruct(u)[0])) < 1e-5
 
 
@@ -158,8 +158,8 @@ def test_coupled_channels_predict_as_in_jax(cornell, runtime, export):
         x = np.random.default_rng(basis).random((len(cornell.groups), 3)).astype(np.float32)
         model, loaded = asset.model(), runtime.load(asset)
         u = model.transfer(jnp.asarray(x[None]))
-        assert loaded.transfer(x).shape == u.shape[1:] == (basis, 1)
-        assert relative(loaded.transfer(x), np.asarray(u[0])) < 1e-5
+        assert loaded.coefficients_of(x).shape == u.shape[1:] == (basis, 1)
+        assert relative(loaded.coefficients_of(x), np.asarray(u[0])) < 1e-5
         assert relative(loaded.predict(x), np.asarray(model.reconstruct(u)[0])) < 1e-5
 
 
@@ -178,7 +178,7 @@ def test_gamma_space_predicts_as_in_jax(form, dtype, cornell, runtime, export):
     x[::3], x[:, 2] = 0.0, 0.0
     model, loaded = asset.model(), runtime.load(asset)
     u = model.transfer(jnp.asarray(x[None]))
-    assert relative(loaded.transfer(x), np.asarray(u[0])) < 1e-5
+    assert relative(loaded.coefficients_of(x), np.asarray(u[0])) < 1e-5
     found, wanted = loaded.predict(x), np.asarray(model.reconstruct(u)[0])
     assert (wanted < 0).any()
     assert relative(found, wanted) < 1e-4
@@ -196,8 +196,8 @@ def test_coupling_of_other_than_three_channels_is_refused(cornell, runtime, expo
 def test_transfer_is_homogeneous_at_any_brightness(form, scale, cornell, runtime, export):
     loaded = runtime.load(export(form(cornell, 4)))
     x = np.random.default_rng(3).random((len(cornell.groups), 3)).astype(np.float32)
-    wanted = loaded.transfer(x) * np.float32(scale)
-    np.testing.assert_allclose(loaded.transfer(x * np.float32(scale)), wanted, rtol=1e-4)
+    wanted = loaded.coefficients_of(x) * np.float32(scale)
+    np.testing.assert_allclose(loaded.coefficients_of(x * np.float32(scale)), wanted, rtol=1e-4)
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-25, 1e25])
@@ -220,7 +220,7 @@ def test_nearest_assets_predict_as_in_jax(cornell, runtime, export):
         x = (2.0 * near + 0.01 * rng.random(near.shape)).astype(np.float32)
         u = model.transfer(jnp.asarray(x[None]))
         assert np.argmax(np.asarray(u[0]), axis=0).tolist() == list(chosen)
-        assert relative(loaded.transfer(x), np.asarray(u[0])) < 1e-5
+        assert relative(loaded.coefficients_of(x), np.asarray(u[0])) < 1e-5
         assert relative(loaded.predict(x), np.asarray(model.reconstruct(u)[0])) < 1e-5
     assert not loaded.predict(np.zeros_like(x)).any()
 

@@ -5,14 +5,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from prt_bench.gamma import GammaLinearModel, curve, over, uncurve
 from prt_bench.methods.base import Method
 from prt_bench.models import LinearModel, Model
 from prt_bench.stability import rigs
 from prt_bench.stability.cell import Kind, Measured, Member, case
-from prt_bench.stability.rigs import Rig, dataset, mixed, subjects
+from prt_bench.stability.rigs import Rig, dataset, mixed, relit, subjects
 from prt_bench.stability.routes import F32, F64, Route
 
 _CLEAR = 1e-6
@@ -32,10 +35,26 @@ def _shipped(model: Model, test: object) -> tuple[np.ndarray, float]:
     with tempfile.TemporaryDirectory() as folder:
         asset = model.export(Path(folder) / "asset")
         found = asset.predict(test)
-    if not isinstance(model, LinearModel):
-        return found, float(np.abs(found).max())
-    size = LinearModel(jnp.abs(model.basis), jnp.abs(model.weights)).predict(test)  # pyright: ignore[reportArgumentType]
-    return found, float(np.max(size))
+    if isinstance(model, LinearModel):
+        return found, float(np.max(_terms(model, jnp.asarray(model.measure(test)))))  # pyright: ignore[reportArgumentType]
+    if isinstance(model, GammaLinearModel):
+        return found, float(np.max(_curved_terms(model, jnp.asarray(model.measure(test)))))  # pyright: ignore[reportArgumentType]
+    return found, float(np.abs(found).max())
+
+
+def _terms(model: LinearModel, x: Array) -> Array:
+    """Sums of the sizes of what a prediction adds up."""
+    sizes = LinearModel(jnp.abs(model.basis), jnp.abs(model.weights))
+    return sizes.reconstruct(sizes.transfer(jnp.abs(x)))
+
+
+def _curved_terms(model: GammaLinearModel, x: Array) -> Array:
+    """The same in gamma space, where the way back multiplies an error by the slope of the curve."""
+    size = model.size(x)
+    corrected = curve(over(x, size), model.gamma[0], model.gamma[1])
+    answer = model.inside.reconstruct(model.inside.transfer(corrected))
+    slope = jax.vmap(jax.grad(lambda v: uncurve(v, model.gamma[0], model.gamma[1])))(answer.ravel())
+    return size * slope.reshape(answer.shape) * _terms(model.inside, corrected)
 
 
 @case("A13", "fitted in float64, shipped in float32", subjects=subjects, family=rigs.rigs)
@@ -65,7 +84,7 @@ def unit_of_light(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
     """A5: light in other units gives the same model; powers of two change no digit of the data."""
     plain = method.fit(rig.train).predict(rig.test)
     for factor in (route.compute(2.0**-10), route.compute(2.0**20)):
-        scaled = dataset(factor * rig.train.measured, factor * rig.train.indirect)
+        scaled = relit(rig.train, factor * rig.train.measured, factor * rig.train.indirect)
         yield Measured(_difference(method.fit(scaled).predict(rig.test), plain), _EQUAL)
 
 
@@ -151,7 +170,16 @@ def near_projection(method: Method, rig: Rig, route: Route) -> Iterator[Measured
     yield Measured(float(e_rec), float(1.5 * e_proj + 300 * route.data_eps + 1e-9))
 
 
-@case("H3", "white light in training, red light at test", subjects=subjects, routes=(F64, F32),
+def _apart() -> dict[str, Method]:
+    coupled = _coupled()
+    return {label: each for label, each in subjects().items() if each.learns and label not in coupled}
+
+
+def _coupled() -> dict[str, Method]:
+    return {label: each for label, each in subjects().items() if rigs.settings(each).get("transfer") == "coupled"}
+
+
+@case("H3", "white light in training, red light at test", subjects=_apart, routes=(F64, F32),
       family=lambda route: rigs.named("white", route, (0, 1)))  # fmt: skip
 def red_light(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
     """H3: channels are examples of one map; red light is predicted as the red of white light, and nothing else lights up."""
@@ -160,6 +188,14 @@ def red_light(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
     white = np.asarray(model.predict(rig.test))
     found = model.predict(dataset(rig.test.measured * red, rig.test.indirect * red, "test"))
     yield Measured(_difference(found, white * red), _EQUAL)
+
+
+@case("H3", "white light for coupled channels", kind=Kind.REFUSAL, subjects=_coupled, routes=(F64, F32),
+      family=lambda route: rigs.named("white", route, (0, 1)))  # fmt: skip
+def one_colour(method: Method, rig: Rig, route: Route) -> bool:
+    """H3: channels that are parts of one vector know the colours they were fitted to alone, and the fit says so."""
+    method.fit(rig.train)
+    return False
 
 
 def _unusable(route: Route) -> Iterator[Member]:
@@ -174,7 +210,11 @@ def _unusable(route: Route) -> Iterator[Member]:
 
 
 def _fitted_at_all() -> dict[str, Method]:
-    return {label: method for label, method in subjects(variants=False).items() if method.role != "ceiling"}
+    return {
+        label: method
+        for label, method in subjects(variants=False).items()
+        if method.learns and method.role != "ceiling"
+    }
 
 
 @case("A6", "no light, NaN and infinity", kind=Kind.REFUSAL, subjects=_fitted_at_all, family=_unusable)
