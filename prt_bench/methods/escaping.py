@@ -24,15 +24,16 @@ def transfer_vectors(
     The bounces take the same way as any other light: direct transfer at the gather samples goes through the operator, a
     column for each harmonic. Raises `FitError` for a transport that kept no directions of its rays.
     """
-    direct = _from_table(transport, transport.receiver_hits, transport.receivers, order)
+    direct = direct_transfer(transport, transport.receiver_hits, transport.receivers, order)
     if transport.receiver_hits is transport.sample_hits:
         at_samples = direct
     else:
-        at_samples = _from_table(transport, transport.sample_hits, transport.samples, order)
+        at_samples = direct_transfer(transport, transport.sample_hits, transport.samples, order)
     return direct, respond(transport, albedo, at_samples)
 
 
-def _from_table(transport: Transport, table: Any, points: SurfacePoints, order: int) -> Float[np.ndarray, "P K"]:
+def direct_transfer(transport: Transport, table: Any, points: SurfacePoints, order: int) -> Float[np.ndarray, "P K"]:
+    """`escaping_transfer` of all points of a hit table, some of them in memory at a time."""
     if transport.sampler is None:
         raise FitError(f"the transport of '{transport.scene.name}' kept no directions of its rays; bake it again")
     out = np.empty((len(points), order * order), np.float32)
