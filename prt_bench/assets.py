@@ -18,6 +18,7 @@ from safetensors.numpy import load, save
 
 from prt_bench.errors import AssetError
 from prt_bench.gamma import GammaCoupledModel, GammaLinearModel
+from prt_bench.glossy import FixedTripleModel, TripleModel
 from prt_bench.harmonic import HarmonicIndirectModel, HarmonicModel, VertexHarmonicModel
 from prt_bench.models import CoupledModel, LinearModel, Model, NearestModel
 
@@ -32,6 +33,8 @@ _MODELS: tuple[type[Model], ...] = (
     HarmonicModel,
     HarmonicIndirectModel,
     VertexHarmonicModel,
+    TripleModel,
+    FixedTripleModel,
 )
 DTYPES = ("float32", "float16")
 """What a basis can be stored in."""

@@ -1,10 +1,13 @@
-// Radiance of diffuse surfaces: albedo / π · (direct + indirect irradiance). DIRECT, INDIRECT, SHADOWS and ALBEDO_IMAGE
-// compile their part in.
+// Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds. DIRECT, INDIRECT,
+// SHADOWS, GLOSSY, ALBEDO_IMAGE and ROUGHNESS_IMAGE compile their part in.
 #ifdef DIRECT
 #include "emitters.glsl"
 #endif
 #ifdef INDIRECT
 #include "reconstruct.glsl"
+#endif
+#ifdef GLOSSY
+#include "glossy.glsl"
 #endif
 
 in vec3 position;
@@ -12,6 +15,15 @@ in vec2 lightmap_uv;
 in vec2 image_uv;
 flat in vec3 normal;
 flat in vec3 albedo;
+#ifdef GLOSSY
+flat in vec3 specular;
+flat in float exponent;
+
+uniform vec3 eye;
+#ifdef ROUGHNESS_IMAGE
+layout(binding = 7) uniform sampler2D roughness_image;
+#endif
+#endif
 
 out vec4 radiance;
 
@@ -34,4 +46,15 @@ void main() {
     reflectance *= texture(albedo_image, image_uv).rgb;
 #endif
     radiance = vec4(reflectance / PI * irradiance, 1.0);
+#ifdef GLOSSY
+    if (specular != vec3(0.0)) {
+        float sharpness = exponent;
+#ifdef ROUGHNESS_IMAGE
+        float roughness = texture(roughness_image, image_uv).r;
+        if (exponent < 0.0) sharpness = 2.0 / (roughness * roughness) - 2.0;
+#endif
+        vec3 mirror = reflect(normalize(position - eye), normal);
+        radiance.rgb += specular * max(gloss(lightmap_uv, mirror, sharpness), vec3(0.0));
+    }
+#endif
 }

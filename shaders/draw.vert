@@ -11,6 +11,12 @@ out vec2 lightmap_uv;
 out vec2 image_uv;
 flat out vec3 normal;
 flat out vec3 albedo;
+#ifdef GLOSSY
+in vec3 in_specular;
+in float in_exponent;
+flat out vec3 specular;
+flat out float exponent;
+#endif
 #ifdef RECONSTRUCT_VERTICES
 in int in_vertex;
 layout(std430, binding = 8) readonly buffer Light { vec4 light[]; };
@@ -30,6 +36,10 @@ void main() {
     lightmap_uv = in_lightmap_uv;
     image_uv = in_image_uv;
     albedo = in_albedo;
+#ifdef GLOSSY
+    specular = in_specular;
+    exponent = in_exponent;
+#endif
 #ifdef RECONSTRUCT_VERTICES
     vertex_light = light[in_vertex].rgb;
 #endif

@@ -53,6 +53,7 @@ class DrawPass:
         self._context = context
         self._ranges = mesh.ranges
         images = {"ALBEDO_IMAGE": 1} if mesh.has_images else {}
+        images |= {"ROUGHNESS_IMAGE": 1} if mesh.has_roughness and "GLOSSY" in defines else {}
         self._programs = {
             "depth": shaders.program(context, "draw.vert", None, {}),
             "back": shaders.program(context, "draw.vert", "back.frag", {}),
@@ -78,9 +79,11 @@ class DrawPass:
         self._meshes["depth"].render(moderngl.TRIANGLES)
         screen.linear.color_mask = (True, True, True, True)
         ctx.depth_func = "<="
-        for first, count, image in self._ranges:
-            if image is not None:
-                image.use(2)
+        if "eye" in self._programs["shaded"]:
+            shaders.uniform(self._programs["shaded"], "eye").value = tuple(eye_of(camera))
+        for first, count, images in self._ranges:
+            for unit, image in images.items():
+                image.use(unit)
             self._meshes["shaded"].render(moderngl.TRIANGLES, vertices=count, first=first)
         # Backs lie a little deeper, so that the other side of a two-sided surface, where it has one, wins.
         ctx.cull_face, ctx.depth_func, ctx.polygon_offset = "front", "<", (0.0, 16.0)
@@ -105,7 +108,12 @@ class DrawPass:
 
 def directions_from_screen(camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Clip space at depth 1 to world directions from the eye, of any length."""
-    inverse = np.linalg.inv(camera)
     minus_eye = np.eye(4)
-    minus_eye[:3, 3] = -inverse[:3, 2] / inverse[3, 2]  # a projection sends its centre to (0, 0, 1, 0)
-    return minus_eye @ inverse
+    minus_eye[:3, 3] = -eye_of(camera)
+    return minus_eye @ np.linalg.inv(camera)
+
+
+def eye_of(camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+    """Where a projection looks from: it sends its centre to (0, 0, 1, 0)."""
+    inverse = np.linalg.inv(camera)
+    return inverse[:3, 2] / inverse[3, 2]

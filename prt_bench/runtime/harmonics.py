@@ -53,16 +53,14 @@ class HarmonicsPass:
         self.coefficients.write(np.pad(x, ((0, self.slots - len(x)), (0, 1))).astype("<f4").tobytes())
 
 
-class _Harmonics(LoadedAsset):
-    """What both ways of storing transfer share."""
+class ProjectedAsset(LoadedAsset):
+    """What all ways of storing transfer share: the projection of light."""
 
-    def __init__(self, runtime: "Runtime", asset: RuntimeAsset, kernel: shaders.Defines) -> None:
-        basis = asset.arrays["basis"]
-        if basis.shape[1] not in (1, CHANNELS):
-            raise AssetError(
-                f"{asset.path} has transfer vectors for {basis.shape[1]} channels; this runtime has {CHANNELS}"
-            )
-        self.projection = HarmonicsPass(runtime.context, asset.arrays["centre"], basis.shape[2])
+    def __init__(self, runtime: "Runtime", asset: RuntimeAsset, kernel: shaders.Defines, channels: int) -> None:
+        if channels not in (1, CHANNELS):
+            raise AssetError(f"{asset.path} has transfer vectors for {channels} channels; this runtime has {CHANNELS}")
+        harmonics = asset.arrays["basis"].shape[2]
+        self.projection = HarmonicsPass(runtime.context, asset.arrays["centre"], harmonics)
         super().__init__(runtime, asset, {"COEFFICIENTS": self.projection.slots, **kernel})
         self.needs_shadows = not asset.includes_direct
 
@@ -82,14 +80,14 @@ class _Harmonics(LoadedAsset):
         return self.projection.read()
 
 
-class HarmonicAsset(_Harmonics):
+class HarmonicAsset(ProjectedAsset):
     """Transfer vectors in textures; the fragment shader multiplies them with the coefficients."""
 
     def __init__(self, runtime: "Runtime", asset: RuntimeAsset) -> None:
         basis = asset.arrays["basis"]
         layers = -(-basis.shape[2] // 4)
-        grey = basis.shape[1] == 1
-        super().__init__(runtime, asset, {f"RECONSTRUCT_{'BASIS' if grey else 'CHANNELS'}": 1, "LAYERS": layers})
+        channels = basis.shape[1]
+        super().__init__(runtime, asset, {diffuse_kernel(channels): 1, "LAYERS": layers}, channels)
         self._basis = BasisTexture(runtime, channels_apart(basis, 4 * layers))
         check(runtime.context, f"loading {asset.path}")
 
@@ -117,7 +115,12 @@ class HarmonicAsset(_Harmonics):
         return self._basis.receiver_values(self, self._kernel)
 
 
-class VertexAsset(_Harmonics):
+def diffuse_kernel(channels: int) -> str:
+    """The kernel of `reconstruct.glsl` for transfer vectors of one channel or of each."""
+    return "RECONSTRUCT_BASIS" if channels == 1 else "RECONSTRUCT_CHANNELS"
+
+
+class VertexAsset(ProjectedAsset):
     """Transfer vectors in a buffer; one invocation per vertex multiplies them, the rasteriser interpolates."""
 
     def __init__(self, runtime: "Runtime", asset: RuntimeAsset) -> None:
@@ -127,7 +130,7 @@ class VertexAsset(_Harmonics):
                 f"{asset.path} holds transfer for {len(basis)} vertices, but the dataset has {runtime.mesh_vertices};"
                 " load it with the dataset it was fitted on"
             )
-        super().__init__(runtime, asset, {"RECONSTRUCT_VERTICES": 1})
+        super().__init__(runtime, asset, {"RECONSTRUCT_VERTICES": 1}, basis.shape[1])
         context = runtime.context
         self._transfer = context.buffer(np.ascontiguousarray(basis, "<f4").tobytes())
         self._light = context.buffer(reserve=16 * len(basis))

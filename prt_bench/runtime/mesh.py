@@ -29,7 +29,9 @@ class MeshBuffers:
             "in_normal": np.repeat(mesh.normals[order][:, None], 3, axis=1),
             "in_lightmap_uv": lightmap.corner_uv[order],
             "in_image_uv": image_uv,
-            "in_albedo": np.repeat(np.array([m.albedo for m in materials])[owner][:, None], 3, axis=1),
+            "in_albedo": _per_corner(np.array([m.albedo for m in materials]), owner),
+            "in_specular": _per_corner(np.array([_lobe(m)[:3] for m in materials]), owner),
+            "in_exponent": _per_corner(np.array([_lobe(m)[3:] for m in materials]), owner),
         }
         self._attributes = {
             name: (context.buffer(np.ascontiguousarray(values, "<f4").tobytes()), f"{values.shape[-1]}f4")
@@ -39,14 +41,20 @@ class MeshBuffers:
             self._attributes["in_vertex"] = (context.buffer(corner[order].astype("<i4").tobytes()), "1i4")
         self.vertices = 3 * len(order)
         self.has_images = any(material.image is not None for material in materials)
+        self.has_roughness = any(m.glossy is not None and m.glossy.roughness_image is not None for m in materials)
         starts = 3 * np.searchsorted(owner, np.arange(len(materials) + 1))
-        self.ranges: list[tuple[int, int, moderngl.Texture | None]] = [(0, self.vertices, None)]
-        if self.has_images:
+        self.ranges: list[tuple[int, int, dict[int, moderngl.Texture]]] = [(0, self.vertices, {})]
+        if self.has_images or self.has_roughness:
             self.ranges = [
-                (int(first), int(last - first), _albedo_texture(context, material))
+                (int(first), int(last - first), self._images(context, material))
                 for material, (first, last) in zip(materials, pairwise(starts), strict=True)
                 if last > first
             ]
+
+    def _images(self, context: moderngl.Context, material: Material) -> dict[int, moderngl.Texture]:
+        """A material's textures by the unit they are bound to."""
+        albedo = {2: _albedo_texture(context, material)} if self.has_images else {}
+        return albedo | ({7: _roughness_texture(context, material)} if self.has_roughness else {})
 
     def bound_to(self, program: moderngl.Program) -> moderngl.VertexArray:
         """A vertex array with the attributes the program uses."""
@@ -62,3 +70,24 @@ def _albedo_texture(context: moderngl.Context, material: Material) -> moderngl.T
     texture.build_mipmaps()
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return texture
+
+
+def _roughness_texture(context: moderngl.Context, material: Material) -> moderngl.Texture:
+    """The material's roughness image, bottom row first; one texel where it has none."""
+    image = None if material.glossy is None else material.glossy.roughness_image
+    rows = np.ones((1, 1)) if image is None else image[::-1]
+    texture = context.texture(rows.shape[::-1], 1, np.ascontiguousarray(rows, "<f4").tobytes(), dtype="f4")
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    return texture
+
+
+def _lobe(material: Material) -> tuple[float, float, float, float]:
+    """Specular reflectance and exponent; the exponent is −1 where an image has its place."""
+    lobe = material.glossy
+    if lobe is None:
+        return 0.0, 0.0, 0.0, 0.0
+    return *lobe.specular, lobe.exponent if lobe.roughness_image is None else -1.0
+
+
+def _per_corner(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    return np.repeat(values[owner][:, None], 3, axis=1)

@@ -8,9 +8,11 @@ from pathlib import Path
 import moderngl
 
 from prt_bench.errors import RuntimeUnavailable
+from prt_bench.runtime.generate import CODE
 
 VERSION = "#version 430 core"
-_INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
+_INCLUDE = re.compile(r'^#include "([\w./]+)"$', re.MULTILINE)
+_GENERATED = "generated/"
 
 Defines = Mapping[str, int | str]
 
@@ -26,13 +28,20 @@ def folder() -> Path:
 
 
 def source(name: str, defines: Defines | None = None) -> str:
-    """One shader stage: version, defines, then the file with each include pasted once, where it is first named."""
+    """One shader stage: version, defines, then the file with each include pasted once, where it is first named.
+
+    An include of "generated/NAME" pastes code that `generate` writes for the order that ORDER defines,
+    and nothing where no order is defined: what would use it is compiled out.
+    """
     seen: set[str] = set()
 
     def paste(file: str) -> str:
         if file in seen:
             return ""
         seen.add(file)
+        if file.startswith(_GENERATED):
+            order = (defines or {}).get("ORDER")
+            return "" if order is None else CODE[file.removeprefix(_GENERATED)](int(order))
         return _INCLUDE.sub(lambda match: paste(match[1]), (folder() / file).read_text(encoding="utf-8"))
 
     head = [VERSION, *(f"#define {key} {value}" for key, value in (defines or {}).items())]

@@ -1,0 +1,35 @@
+// What a Phong lobe about the mirror direction reflects of direct light, W/m²/sr, from the K numbers of a texel; the same as
+// prt_bench/glossy.py. FIXED reads the light's matrices, otherwise the triple product is taken here (DENSE: by its whole tensor).
+#include "generated/harmonics"
+#include "generated/lobe"
+#if defined(FIXED)
+#include "generated/bilinear"
+#elif defined(DENSE)
+#include "generated/dense_product"
+#else
+#include "generated/product"
+#endif
+
+vec3 gloss(vec2 uv, vec3 mirror, float exponent) {
+    float lobe_at[HARMONICS], transfer[4 * LAYERS];
+    harmonics(mirror, lobe_at);
+    lobe(exponent, lobe_at);
+    for (int layer = 0; layer < LAYERS; ++layer) {
+        vec4 four = textureLod(basis, vec3(uv, VISIBLE + layer), 0.0);
+        transfer[4 * layer] = four.x;
+        transfer[4 * layer + 1] = four.y;
+        transfer[4 * layer + 2] = four.z;
+        transfer[4 * layer + 3] = four.w;
+    }
+    float visible[HARMONICS];
+    for (int k = 0; k < HARMONICS; ++k) visible[k] = transfer[k];
+#ifdef FIXED
+    return bilinear(visible, lobe_at);
+#else
+    float q[HARMONICS];
+    product(visible, lobe_at, q);
+    vec3 sum = vec3(0.0);
+    for (int k = 0; k < HARMONICS; ++k) sum += coefficients[k].rgb * q[k];
+    return sum;
+#endif
+}
