@@ -1,6 +1,6 @@
 """Environment maps as an axis of difficulty: how much of each is a sun, and what that costs classical transfer.
 
-For each vendored map: the share of its energy that comes from the brightest 0.1 % of the sphere, by solid angle; the share
+For each vendored map: the share of its energy that comes from its brightest 0.1, 1 and 10 %, by solid angle; the share
 of ∫ L² dω that 3, 5 and 8 bands of spherical harmonics keep; and the error of all light under that map, upright, of
 `sh-texture` of those orders, against the bake's light from the same map. Energy and shares are of luminance. The projection
 of a map is that of its texels, exactly; both the bake and the method light with its 64 directions.
@@ -18,7 +18,7 @@ from prt_bench.environment import LUMINANCE, EnvironmentMap, texel_directions
 from prt_bench.metrics import relative_norm
 from prt_bench.spherical import project_environment
 
-BRIGHTEST = 1e-3
+BRIGHTEST = (1e-3, 1e-2, 1e-1)
 
 
 def main() -> None:
@@ -35,22 +35,32 @@ def main() -> None:
             model = prt.method("sh-texture", order=order, window=settings.window).fit(ds)
             found = np.asarray(model.predict(lit))
             errors[scene, order] = dict(zip(maps, relative_norm(found - whole, whole), strict=True))
-    kept = [f"{order} bands keep" for order in settings.orders]
-    head = ("map", "sun", *kept, *(f"{scene}: order {order}" for scene, order in errors))
-    lines = [
-        (name, brightest(item), *(share(item, order) for order in settings.orders), *(e[name] for e in errors.values()))
+    head = (
+        "map",
+        *(f"brightest {part:.1%}" for part in BRIGHTEST),
+        *(f"{order} bands keep" for order in settings.orders),
+        *(f"{scene}: order {order}" for scene, order in errors),
+    )
+    lines = {
+        name: (*(brightest(item, part) for part in BRIGHTEST), *(share(item, order) for order in settings.orders))
         for name, item in maps.items()
-    ]
-    lines.sort(key=lambda line: line[1])
-    table(head, [(line[0], *(f"{cell:.1%}" for cell in line[1 : 2 + len(kept)]), *map(float, line[2 + len(kept) :]))
-                 for line in lines])  # fmt: skip
-    sun = np.argsort(np.argsort([line[1] for line in lines]))
-    for number, (scene, order) in enumerate(errors):
-        rank = np.argsort(np.argsort([line[2 + len(kept) + number] for line in lines]))
-        print(f"rank correlation of sun and error, {scene}, order {order}: {np.corrcoef(sun, rank)[0, 1]:.2f}")
+    }
+    names = sorted(lines, key=lambda name: lines[name][0])
+    table(
+        head,
+        [
+            (name, *(f"{cell:.1%}" for cell in lines[name]), *(float(e[name]) for e in errors.values()))
+            for name in names
+        ],
+    )
+    for (scene, order), found in errors.items():
+        rank = np.argsort(np.argsort([found[name] for name in names]))
+        print(
+            f"rank correlation of sun and error, {scene}, order {order}: {np.corrcoef(range(len(names)), rank)[0, 1]:.2f}"
+        )
 
 
-def brightest(item: EnvironmentMap, part: float = BRIGHTEST) -> float:
+def brightest(item: EnvironmentMap, part: float) -> float:
     """Share of the energy that comes from the brightest `part` of the sphere; a texel that crosses the limit counts in part."""
     luminance = item.radiance.astype(float) @ LUMINANCE
     solid_angle = np.broadcast_to(texel_directions(*luminance.shape)[1], luminance.shape)
