@@ -5,7 +5,8 @@ light from its transfer vectors, as its paper has it, and once with indirect lig
 methods that measure direct light in the scene instead of projecting it. Prints relative RMSE of the indirect light, and of all
 light relative to all light: where a method leaves direct light to shadow maps, that is exact here.
 
-Draws one directional light of each scene: the held-out one whose error of all light is the median of the middle order's.
+Draws one directional light of each scene: of the held-out ones that fall at least 45° from above, which the camera sees the
+lit side of, the one whose error of all light is the median of the middle order's.
 
     python experiments/figure_12_light_frequency.py [--scenes suzanne room] [--scenarios environment directional] [--data DIR]
 """
@@ -72,10 +73,12 @@ def compared(orders: list[int], sizes: list[int]) -> dict[str, Method]:
 
 
 def frames_of(ds: prt.LightingDataset, assets: Mapping[str, RuntimeAsset], by: str) -> Row:
-    """The reference and each asset under the lighting with the median error of the asset `by`; captions are of all light."""
+    """The reference and each asset under the light from above with the median error of the asset `by`; captions: all light."""
     test = ds.split("test")
     found = {label: error_of_all(asset, test) for label, asset in assets.items()}
-    index = int(np.argsort(found[by])[len(test) // 2])
+    downward = np.array([np.asarray(vars(lighting.lights[0])["direction"])[1] for lighting in test.lightings])
+    above = np.flatnonzero(downward < -np.sqrt(0.5))
+    index = int(above[np.argsort(found[by][above])[len(above) // 2]])
     runtime, lighting = Runtime(ds, SIZE), test.lightings[index]
     drawn = {"reference": runtime.frame(lighting, runtime.lightmap(test.indirect[index]))}
     exposure = exposure_for(drawn["reference"])
