@@ -107,13 +107,13 @@ def pairs(order: int) -> list[tuple[int, int]]:
 
 @cache
 def bilinear_code(order: int) -> str:
-    """`vec3 bilinear(float a[K], float b[K])`: aᵀ M b of each channel with M's upper half in a buffer, one row per pair."""
+    """`vec3 bilinear(float a[K], float b[K])`: aᵀ M b of each channel, M's upper half a row per pair in a uniform block."""
     size = order * order
     lines = ["vec3 sum = vec3(0.0);"]
     for row, (i, k) in enumerate(pairs(order)):
         both = f"a[{i}] * b[{i}]" if i == k else f"a[{i}] * b[{k}] + a[{k}] * b[{i}]"
         lines.append(f"sum += matrix[{row}].rgb * ({both});")
-    declared = f"layout(std430, binding = 9) readonly buffer Matrix {{ vec4 matrix[{len(pairs(order))}]; }};\n"
+    declared = f"layout(std140, binding = 1) uniform Matrix {{ vec4 matrix[{len(pairs(order))}]; }};\n"
     return declared + _function(f"vec3 bilinear(float a[{size}], float b[{size}])", [*lines, "return sum;"])
 
 

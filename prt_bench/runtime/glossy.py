@@ -64,7 +64,7 @@ class GlossyAsset(ProjectedAsset):
         self._basis.bind()
         self.projection.coefficients.bind_to_uniform_block(0)
         if self._matrix is not None:
-            self._matrix.matrix.bind_to_storage_buffer(9)
+            self._matrix.matrix.bind_to_uniform_block(1)
         if self._tensor is not None:
             self._tensor.bind_to_storage_buffer(9)
 

@@ -37,7 +37,7 @@ class Rig(NamedTuple):
 
 
 @cache
-def room(walls: int = 5) -> LightingDataset:
+def room(walls: int = 6) -> LightingDataset:
     """The cube room under point lights; with five walls distant light comes in at the front."""
     return example_dataset(texels=4, lightings=LIGHTINGS, measurements=MEASUREMENTS, rays=32, walls=walls)
 
@@ -132,12 +132,23 @@ def _member(
 
 
 def subjects(role: str | None = None, variants: bool = True, **wished: Any) -> dict[str, Method]:
-    """Every method by label, and its variants: each choice and each switch among the settings, one changed at a time.
+    """Every method that learns by label, and its variants: each choice and each switch among the settings, one at a time.
 
     Ceilings without settings are left out: they fit nothing. `wished` settings are given to the methods that have them.
     """
+    return _labelled(role, variants, True, wished)
+
+
+def unlearned() -> dict[str, Method]:
+    """Methods that do not look at lightings, with their variants: what they fit is the transport."""
+    return _labelled(None, True, False, {})
+
+
+def _labelled(role: str | None, variants: bool, learns: bool, wished: dict[str, Any]) -> dict[str, Method]:
     found: dict[str, Method] = {}
     for kind in methods().values():
+        if kind.learns != learns:
+            continue
         own = {field.name for field in fields(kind)}
         if role not in (None, kind.role) or (kind.role == "ceiling" and not own):
             continue

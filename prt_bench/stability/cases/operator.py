@@ -147,7 +147,7 @@ def firefly(made: Any, enclosure: Enclosure, route: Route) -> Iterator[Measured]
 
 @case(
     "F2", "reciprocity of the room's walls", subjects=gathers, routes=(F64, F32),
-    family=lambda route: [Member("cube", np.asarray(room(6).transport.sample_hits))],
+    family=lambda route: [Member("cube", np.asarray(room().transport.sample_hits))],
 )  # fmt: skip
 def reciprocity(made: Any, hits: np.ndarray, route: Route) -> Iterator[Measured]:
     """F2: between equal areas, form factors are symmetric; the cube's are 0.1998 to the wall opposite and 0.2 to others.

@@ -30,7 +30,7 @@ class Placed(NamedTuple):
 
 
 def _placed(scale: float, shift: float) -> Placed:
-    ds = room(6)
+    ds = room()
     scene = ds.transport.scene
     mesh = scene.mesh
     moved = Mesh(scale * (np.asarray(mesh.vertices) + shift), mesh.faces, mesh.material)
@@ -150,7 +150,7 @@ def _borders(route: Route) -> Iterator[Member]:
 )  # fmt: skip
 def seams(make: Any, hits: tuple[np.ndarray, ...], route: Route) -> Iterator[Measured]:
     """G5: hits at the edges of charts, jittered by half a texel, stay on the wall that was hit; back hits carry nothing."""
-    ds = room(6)
+    ds = room()
     mesh = ds.transport.scene.mesh
     resolver = make(mesh, ds.lightmap, ds.points)
     faces, u, v, jitter = hits

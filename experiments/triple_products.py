@@ -1,0 +1,154 @@
+"""Glossy transfer in every pixel: the triple product generated, dense, and with the light fixed (transfer textures, Table 1).
+
+Prints the arithmetic of each way, the milliseconds of their draw passes in interleaved rounds, and how far glossy radiance is
+from a path tracer's, by exponent and order: direct light through the lobe at points the camera sees, root mean square over
+points and channels relative to that of the reference. The picture shows frames by exponent beside the reference's.
+
+    python experiments/triple_products.py [--scenes room objects plants] [--data DIR] [--paths 256]
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from tempfile import TemporaryDirectory
+
+import jax.numpy as jnp
+import numpy as np
+from _frames import Row, arguments, draw, table
+
+import prt_bench as prt
+from data_gen.glossy_reference import reference_radiance
+from data_gen.journal import data_folder
+from data_gen.reference_image import reference_image
+from data_gen.tracer import Tracer
+from prt_bench.glossy import mirrored
+from prt_bench.runtime.generate import operations
+from prt_bench.runtime.glossy import GlossyAsset
+from prt_bench.runtime.runtime import Runtime
+from prt_bench.runtime.timing import time_assets
+from prt_bench.scene import Glossy, Scene
+
+EXPONENTS = (5.0, 20.0, 80.0, 320.0)
+ORDERS = (3, 5, 8)
+POINTS = 300
+TIMED = (640, 480)
+DRAWN = (240, 180)
+TRACED = f"path traced, exponent {EXPONENTS[2]:g}"
+_PAPER = {"room": "352 / 2433 to 84 / 568", "plants": "363 / 2598 to 6.7 / 168"}
+
+
+def main() -> None:
+    settings = arguments(
+        __doc__, "triple_products.webp", scenes=["room", "objects", "plants"], texels=128, paths=256, rounds=7
+    ).parse_args()
+    costs, errors, pictures = [], [], []
+    for name in settings.scenes:
+        scene = prt.load_scene(name)
+        ds = prt.bake(scene, "environment", 4, settings.texels, 256, seed=0, out=settings.data or data_folder())
+        test = ds.split("test")
+        costs += list(cost(ds, test.lightings[0], settings.rounds))
+        errors += list(accuracy(ds, test.lightings[:4], settings.paths))
+        pictures.append(picture(ds, test.lightings[0], settings.paths))
+    table(("order", "dense", "generated", "share"), [(o, *_counts(o)) for o in (2, 3, 4, 5, 6)])
+    print()
+    table(("scene", "triangles", "way", "draw ms", "transfer ms", "against generated"), costs)
+    print("\npaper, frames per second at 1080p on an RTX 3090, TP / TPFL, vertices to texture:", _PAPER)
+    print()
+    table(("scene", "exponent", *(f"order {o}" for o in ORDERS), "reference's noise"), errors)
+    draw(settings.out, pictures, lambda title: TRACED)
+
+
+def _counts(order: int) -> tuple[int, int, float]:
+    found = operations(order)
+    return found["dense"], found["sparse"], found["sparse"] / found["dense"]
+
+
+def shiny(ds: prt.LightingDataset, exponent: float) -> prt.LightingDataset:
+    """The same bake with a lobe of this exponent on every material; lobes are no part of diffuse transport."""
+    return replace(ds, transport=replace(ds.transport, scene=coated(ds.scene, exponent)))
+
+
+def coated(scene: Scene, exponent: float) -> Scene:
+    """Diffuse albedo at 0.7 and a lobe over it."""
+    materials = [
+        replace(m, albedo=tuple(0.7 * value for value in m.albedo), glossy=Glossy((0.25, 0.25, 0.25), exponent))
+        for m in scene.materials
+    ]
+    return replace(scene, materials=tuple(materials))
+
+
+def cost(ds: prt.LightingDataset, lighting: prt.Lighting, rounds: int) -> Iterator[Sequence[object]]:
+    """Draw passes of all ways on one runtime, in interleaved rounds; every pixel has a lobe."""
+    coat = shiny(ds, EXPONENTS[1])
+    runtime = Runtime(coat, TIMED)
+    with TemporaryDirectory() as folder:
+        free, fixed = (
+            prt.method(name).fit(coat).export(f"{folder}/{name}") for name in ("sh-triple", "sh-triple-fixed")
+        )
+        diffuse = prt.method("sh-texture").fit(coat).export(f"{folder}/diffuse")
+        ways = {
+            "diffuse alone": runtime.load(diffuse),
+            "generated": runtime.load(free),
+            "dense": GlossyAsset(runtime, free, dense=True),
+            "light fixed": runtime.load(fixed),
+        }
+        timings = {way: found[0].stages for way, found in time_assets(ways, lighting, rounds).items()}
+    base = timings["generated"]["draw"].median
+    for way, stages in timings.items():
+        milliseconds = stages["draw"].median
+        yield ds.scene.name, len(ds.scene.mesh.faces), way, milliseconds, stages["transfer"].median, milliseconds / base
+
+
+def accuracy(ds: prt.LightingDataset, lightings: Sequence[prt.Lighting], paths: int) -> Iterator[Sequence[object]]:
+    """Relative error of the lobe's radiance at receivers that the camera sees."""
+    eye = np.asarray(ds.scene.camera.position, float)
+    place = seen(ds, eye)
+    points = ds.points[place]
+    dull = replace(points, albedo=np.zeros_like(points.albedo))  # the lobe alone
+    towards = eye - points.position
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    mirror = np.asarray(mirrored(towards, points.normal))
+    models = [prt.method("sh-triple", order=order, interreflection=False).fit(ds) for order in ORDERS]
+    lit = prt.light(ds, lightings)
+    for exponent in EXPONENTS:
+        black = replace(ds.scene, materials=tuple(replace(m, albedo=(0.0, 0.0, 0.0), image=None,
+                        glossy=Glossy((1.0, 1.0, 1.0), exponent)) for m in ds.scene.materials))  # fmt: skip
+        wanted = [reference_radiance(black, each, dull, towards, paths, 0) for each in lightings]
+        reference = np.stack([estimate.mean for estimate in wanted])
+        noise = np.stack([estimate.halves[0] - estimate.halves[1] for estimate in wanted]) / 2.0
+        size = np.linalg.norm(reference)
+        row = []
+        for model in models:
+            only = type(model)(model.basis[place], model.centre)
+            found = only.gloss(jnp.asarray(model.measure(lit)), mirror, np.full(len(place), exponent))
+            row.append(float(np.linalg.norm(np.maximum(found, 0.0) - reference) / size))
+        yield ds.scene.name, exponent, *row, float(np.linalg.norm(noise) / size)
+
+
+def seen(ds: prt.LightingDataset, eye: np.ndarray) -> np.ndarray:
+    """Some receivers that nothing hides from the eye, chosen at random."""
+    order = np.random.default_rng(0).permutation(len(ds.points))
+    points, tracer = ds.points[order], Tracer(ds.scene)
+    start = points.position + tracer.offset * points.normal
+    faces = np.sum((eye - points.position) * points.normal, axis=1) > 0.05 * np.linalg.norm(
+        eye - points.position, axis=1
+    )
+    clear = ~tracer.occluded(start, eye - start)
+    return order[faces & clear & ~ds.transport.buried[order]][:POINTS]
+
+
+def picture(ds: prt.LightingDataset, lighting: prt.Lighting, paths: int) -> Row:
+    """Frames of order 5 by exponent, and a path-traced one of the last but one."""
+    frames = {}
+    with TemporaryDirectory() as folder:
+        for exponent in EXPONENTS[:3]:
+            coat = shiny(ds, exponent)
+            runtime = Runtime(coat, DRAWN)
+            asset = prt.method("sh-triple").fit(coat).export(f"{folder}/{exponent:g}")
+            frames[f"order 5, exponent {exponent:g}"] = runtime.frame(lighting, runtime.load(asset))
+        traced = reference_image(coat.scene, lighting, DRAWN[1], DRAWN[0], paths)
+    frames[f"path traced, exponent {EXPONENTS[2]:g}"] = traced.mean
+    return Row(ds.scene.name, frames, dict.fromkeys(frames, ""))
+
+
+if __name__ == "__main__":
+    main()

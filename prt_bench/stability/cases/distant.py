@@ -1,0 +1,58 @@
+"""Transfer of distant light: what ships, and what scales with the light. The harmonics themselves are in `spherical`."""
+
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+import numpy as np
+
+from prt_bench.harmonic import HarmonicModel
+from prt_bench.lights import DirectionalLight, Lighting
+from prt_bench.methods.base import Method
+from prt_bench.stability.cases.fits import EQUAL, difference, shipped
+from prt_bench.stability.cell import Measured, Member, case
+from prt_bench.stability.rigs import room, unlearned
+from prt_bench.stability.routes import F32, F64, Route
+
+
+def _suns(route: Route) -> Iterator[Member]:
+    """From straight in front, along a wall, and from behind, where the room is dark."""
+    for name, direction in {"front": (0, 0, -1), "grazing": (1, 0, -1e-3), "behind": (0, 0, 1)}.items():
+        for strength in (1e-5, 1.0, 1e5):
+            yield Member(f"{name}, {strength:g}", Lighting([DirectionalLight(direction, (strength, strength, 0.0))]))
+
+
+class _Lit:
+    """What a model of distant light observes."""
+
+    def __init__(self, lighting: Lighting) -> None:
+        self.lightings = (lighting,)
+        self.measured = np.zeros((1, 1, 3))
+
+
+@case("A13", "transfer vectors shipped in float32", subjects=unlearned, family=_suns, routes=(F64, F32))
+def ships(method: Method, sun: Lighting, route: Route) -> Iterator[Measured]:
+    """Finite, and the asset differs by float32 rounding of the terms that it adds up."""
+    model = method.fit(room(5).split("train"))
+    lit = _Lit(sun)
+    plain = np.asarray(model.predict(lit), np.float64)  # pyright: ignore[reportArgumentType]
+    yield Measured(0.0 if np.all(np.isfinite(plain)) else np.nan, 1.0)
+    found, _ = shipped(model, lit)
+    assert isinstance(model, HarmonicModel)
+    terms = jnp.abs(model.basis).max(axis=(0, 1)) @ jnp.abs(model.measure(lit))[0]  # pyright: ignore[reportArgumentType]
+    unit = F32.eps * float(terms.max())
+    yield Measured(float(np.abs(found - plain).max()), 8 * unit, unit)
+
+
+@case("C4", "distant light, f(a x) = a f(x)", subjects=unlearned, family=_suns, routes=(F64, F32))
+def homogeneous(method: Method, sun: Lighting, route: Route) -> Iterator[Measured]:
+    """C4, A6: homogeneous and additive over twelve decades, and exactly black for no light."""
+    model = method.fit(room(5).split("train"))
+    x = jnp.asarray(model.measure(_Lit(sun)), jnp.float64)  # pyright: ignore[reportArgumentType]
+    plain = model.reconstruct(model.transfer(x))
+    for factor in (1e-6, 3.0, 1e6):
+        yield Measured(difference(model.reconstruct(model.transfer(factor * x)) / factor, plain), EQUAL)
+    other = x[:, ::-1]
+    together = model.reconstruct(model.transfer(x + other))
+    apart = plain + model.reconstruct(model.transfer(other))
+    yield Measured(difference(together, apart), EQUAL)
+    yield Measured(float(np.abs(model.reconstruct(model.transfer(0.0 * x))).max()), 0.0)
