@@ -2,7 +2,7 @@
 
 Prints the arithmetic of each way, the milliseconds of their draw passes in interleaved rounds, and how far glossy radiance is
 from a path tracer's, by exponent and order: direct light through the lobe at points the camera sees, root mean square over
-points and channels relative to that of the reference. The picture shows frames by exponent beside the reference's.
+points and channels relative to that of the reference. K × K is Sloan's matrix in every texel. The picture shows frames by exponent beside the reference's.
 
     python experiments/triple_products.py [--scenes room objects plants] [--data DIR] [--paths 256]
 """
@@ -20,7 +20,8 @@ from data_gen.glossy_reference import reference_radiance
 from data_gen.journal import data_folder
 from data_gen.reference_image import reference_image
 from data_gen.tracer import Tracer
-from prt_bench.glossy import mirrored
+from prt_bench.glossy import TripleModel, mirrored
+from prt_bench.methods.escaping import transfer_matrices
 from prt_bench.runtime.generate import operations
 from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.runtime.runtime import Runtime
@@ -29,6 +30,7 @@ from prt_bench.scene import Glossy, Scene
 
 EXPONENTS = (5.0, 20.0, 80.0, 320.0)
 ORDERS = (3, 5, 8)
+MATRIX = 5
 POINTS = 300
 TIMED = (640, 480)
 DRAWN = (240, 180)
@@ -53,7 +55,7 @@ def main() -> None:
     table(("scene", "triangles", "way", "draw ms", "transfer ms", "against generated"), costs)
     print("\npaper, frames per second at 1080p on an RTX 3090, TP / TPFL, vertices to texture:", _PAPER)
     print()
-    table(("scene", "exponent", *(f"order {o}" for o in ORDERS), "reference's noise"), errors)
+    table(("scene", "exponent", *(f"order {o}" for o in ORDERS), f"K × K, order {MATRIX}", "reference's noise"), errors)
     draw(settings.out, pictures, lambda title: TRACED)
 
 
@@ -109,6 +111,7 @@ def accuracy(ds: prt.LightingDataset, lightings: Sequence[prt.Lighting], paths: 
     mirror = np.asarray(mirrored(towards, points.normal))
     models = [prt.method("sh-triple", order=order, interreflection=False).fit(ds) for order in ORDERS]
     lit = prt.light(ds, lightings)
+    matrices = matrices_at(ds, place)
     for exponent in EXPONENTS:
         black = replace(ds.scene, materials=tuple(replace(m, albedo=(0.0, 0.0, 0.0), image=None,
                         glossy=Glossy((1.0, 1.0, 1.0), exponent)) for m in ds.scene.materials))  # fmt: skip
@@ -121,7 +124,28 @@ def accuracy(ds: prt.LightingDataset, lightings: Sequence[prt.Lighting], paths: 
             only = type(model)(model.basis[place], model.centre)
             found = only.gloss(jnp.asarray(model.measure(lit)), mirror, np.full(len(place), exponent))
             row.append(float(np.linalg.norm(np.maximum(found, 0.0) - reference) / size))
+        row.append(
+            float(
+                np.linalg.norm(np.maximum(by_matrix(models, matrices, lit, mirror, exponent), 0.0) - reference) / size
+            )
+        )
         yield ds.scene.name, exponent, *row, float(np.linalg.norm(noise) / size)
+
+
+def matrices_at(ds: prt.LightingDataset, place: np.ndarray) -> np.ndarray:
+    """Sloan's matrix at some receivers, from the same rays."""
+    transport = ds.transport
+    escaped = np.asarray(transport.receiver_hits) == len(transport.samples) + 1
+    return transfer_matrices(escaped, transport.sampler, 0, ds.points.normal, MATRIX)[place]
+
+
+def by_matrix(
+    models: Sequence[TripleModel], matrices: np.ndarray, lit: prt.LightingDataset, mirror: np.ndarray, exponent: float
+) -> np.ndarray:
+    """What the lobes reflect with a matrix in every texel, which leaves products uncut."""
+    model = models[ORDERS.index(MATRIX)]
+    lobe = model.lobe(mirror, np.full(len(mirror), exponent))
+    return np.einsum("tk,tkj,njc->ntc", lobe, matrices, model.measure(lit), optimize=True)
 
 
 def seen(ds: prt.LightingDataset, eye: np.ndarray) -> np.ndarray:

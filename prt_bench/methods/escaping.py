@@ -72,6 +72,31 @@ def escaping_transfer(
     return np.asarray(rotate(jnp.asarray(found), jnp.swapaxes(jnp.asarray(turns.frames), 1, 2)))
 
 
+def transfer_matrices(
+    escaped: Bool[np.ndarray, "P R"],
+    sampler: HemisphereSampler,
+    first: int,
+    normal: Float[np.ndarray, "P 3"],
+    order: int,
+) -> Float[np.ndarray, "P K K"]:
+    """∫ V y_i y_j max(n·ω, 0) dω in steradians: what takes light to what arrives and weighs at a point, K² numbers each.
+
+    Sloan et al. 2002 keep this matrix for glossy surfaces. It is exact in what the triple product of vectors cuts off: products
+    of light above the order with visibility above it. The size forbids it in textures; this is for small cases.
+    """
+    harmonics = np.asarray(evaluate(np.asarray(sampler.local, np.float64), order))
+    products = np.einsum("sri,srj->srij", harmonics, harmonics).reshape(*harmonics.shape[:2], -1)
+    products = (products * (np.pi / products.shape[1])).astype(np.float32)
+    turns = sampler.turns(first, normal)
+    found = np.empty((len(normal), order**2, order**2), np.float32)
+    for chosen in np.unique(turns.chosen):
+        here = turns.chosen == chosen
+        found[here] = (escaped[here].astype(np.float32) @ products[chosen]).reshape(-1, order**2, order**2)
+    to_world = jnp.swapaxes(jnp.asarray(turns.frames), 1, 2)
+    once = rotate(jnp.asarray(found), to_world)  # rows, then columns
+    return np.asarray(jnp.swapaxes(rotate(jnp.swapaxes(once, 1, 2), to_world), 1, 2))
+
+
 def unoccluded(order: int) -> Float[np.ndarray, " K"]:
     """∫ y_k max(z, 0) dω: the transfer of an open point that faces z."""
     return np.asarray(cosine_lobe(order))[bands(order)] * np.asarray(evaluate(np.array([0.0, 0.0, 1.0]), order))

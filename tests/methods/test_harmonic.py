@@ -16,9 +16,9 @@ from prt_bench.example import example_dataset
 from prt_bench.harmonic import light_coefficients
 from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.lights import emitters
-from prt_bench.methods.escaping import escaping_transfer, transfer_vectors
+from prt_bench.methods.escaping import escaping_transfer, transfer_matrices, transfer_vectors
 from prt_bench.scene import Camera, Material, Mesh, Scene
-from prt_bench.spherical import evaluate, quadrature
+from prt_bench.spherical import evaluate, product_matrix, quadrature
 
 ORDER = 5
 SETTINGS = {"lightings": 2, "texels": 24, "rays": 256, "measurements": 16, "vertices": True}
@@ -60,6 +60,28 @@ def test_transfer_is_the_sum_over_the_rays_themselves():
     plain = np.einsum("pr,prk->pk", escaped, harmonics)
     wanted = plain + share * (everything - harmonics.sum(axis=1))
     np.testing.assert_allclose(escaping_transfer(escaped, sampler, 3, normal, ORDER), wanted, atol=2e-6)
+
+
+def test_matrices_take_light_to_what_arrives():
+    """Ray by ray in the world; the first column is the transfer vector, which distant light of one coefficient meets."""
+    sampler, normal = HemisphereSampler.create(64, 1), normals(70)
+    directions = sampler.directions(3, normal).astype(float)
+    escaped = directions[..., 1] > 0.3 * directions[..., 0]
+    y = np.asarray(evaluate(directions, 3))
+    wanted = np.einsum("pr,pri,prj->pij", escaped, y, y) * np.pi / 64
+    found = transfer_matrices(escaped, sampler, 3, normal, 3)
+    np.testing.assert_allclose(found, wanted, atol=5e-6)
+    np.testing.assert_allclose(found, np.swapaxes(found, 1, 2), atol=5e-6)
+
+
+def test_triple_products_are_the_matrices_of_what_the_order_holds():
+    """Products of bands up to 2 have bands up to 4, so vectors of order 5 lose nothing of them."""
+    normal = normals(20)
+    sampler = HemisphereSampler.create(1024, 0)
+    matrices = transfer_matrices(np.ones((20, 1024), bool), sampler, 0, normal, 3)
+    vectors = escaping_transfer(np.ones((20, 1024), bool), sampler, 0, normal, 5)
+    whole = np.asarray(product_matrix(vectors.astype(float)))[:, :9, :9]
+    np.testing.assert_allclose(matrices, whole, atol=4e-3)
 
 
 def test_first_coefficient_is_the_open_share_of_the_hemisphere(plates):
