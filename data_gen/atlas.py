@@ -67,9 +67,10 @@ def lightmap_points(scene: Scene, lightmap: Lightmap) -> SurfacePoints:
 
 
 def surface_points(scene: Scene, face: Int[np.ndarray, " P"], barycentric: Float[np.ndarray, "P 3"]) -> SurfacePoints:
-    """Points given by face and barycentric coordinates, with their geometric normals and albedo."""
+    """Points given by face and barycentric coordinates, with their albedo and normals, tilted where a normal image says so."""
     position = np.einsum("pc,pcd->pd", barycentric, scene.mesh.triangles[face])
-    return SurfacePoints(position, scene.mesh.normals[face], scene.albedo_at(face, barycentric), face, barycentric)
+    normal = scene.shading_normal_at(face, barycentric)
+    return SurfacePoints(position, normal, scene.albedo_at(face, barycentric), face, barycentric)
 
 
 def _flaw_of_own_atlas(scene: Scene, resolution: int) -> str | None:

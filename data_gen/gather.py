@@ -33,19 +33,27 @@ def trace_hits(
 ) -> Int[np.ndarray, "P R"] | UInt[np.ndarray, "P R"]:
     """Hit table rows of `points`, whose global indices start at `first`. Same result for any number of workers.
 
-    A ray that carries nothing holds the number of samples, one that escaped one more.
+    A ray that carries nothing holds the number of samples, one that escaped one more. Where a normal is not that of the
+    point's face, rays below the face carry nothing: the surface hides them.
     """
     rays = sampler.local.shape[1]
     step = max(_RAYS_PER_STEP // rays, 1)
     origins = (points.position + tracer.offset * points.normal).astype(np.float32)
     turns = sampler.turns(first, points.normal)
     table = np.empty((len(points), rays), resolver.sample.dtype)
+    flat = resolver.normals[points.face]
+    tilted = np.abs(points.normal - flat).max(axis=1, initial=0.0) > 1e-6
 
     def trace(start: int) -> None:
         rows = slice(start, min(start + step, len(points)))
         origin, directions = sampler.rays(origins[rows], turns[rows])
         found = tracer.trace(np.asarray(origin), np.asarray(directions))
         table[rows] = resolver(found, directions, sampler.jitter, turns.chosen[rows]).reshape(-1, rays)
+        some = np.flatnonzero(tilted[rows])
+        if some.size:
+            away = np.asarray(directions).reshape(-1, rays, 3)[some]
+            below = np.einsum("prd,pd->pr", away, flat[rows][some]) <= 0
+            table[start + some] = np.where(below, resolver.samples, table[start + some])
 
     with tracer.pool(spare=True) as executor:
         list(executor.map(trace, range(0, len(points), step)))

@@ -71,6 +71,11 @@ class HitResolver:
         index = np.uint16 if len(points) + 1 < 2**16 else np.int32
         return cls(len(points), side + 2, face, on_cpu(sample.ravel().astype(index)), on_cpu(chart.ravel()))
 
+    @property
+    def normals(self) -> Float[np.ndarray, "F 3"]:
+        """The faces' own normals."""
+        return np.stack([np.asarray(column) for column in self.face[-3:]], axis=1)
+
     def __call__(
         self,
         found: dict[str, np.ndarray],

@@ -2,7 +2,8 @@
 
 Prints the arithmetic of each way, the milliseconds of their draw passes in interleaved rounds, and how far glossy radiance is
 from a path tracer's, by exponent and order: direct light through the lobe at points the camera sees, root mean square over
-points and channels relative to that of the reference. K × K is Sloan's matrix in every texel. The picture shows frames by exponent beside the reference's.
+points and channels relative to that of the reference; K × K is Sloan's matrix in every texel. The picture shows frames by
+exponent beside the reference's.
 
     python experiments/triple_products.py [--scenes room objects plants] [--data DIR] [--paths 256]
 """

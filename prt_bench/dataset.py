@@ -53,14 +53,15 @@ class Transport:
     def open(cls, path: Path) -> "Transport":
         """Open a transport store that `data_gen.bake` wrote."""
         group = open_group(path, "transport")
+        receiver_hits, samples = member(group, "receiver_hits"), str(group.attrs["sample_hits"])
         return cls(
             read_scene(group),
             read_lightmap(group, "lightmap"),
             read_points(group, "receivers"),
             np.asarray(member(group, "buried")[...]),
             read_points(group, "samples"),
-            member(group, "receiver_hits"),
-            member(group, str(group.attrs["sample_hits"])),
+            receiver_hits,
+            receiver_hits if samples == "receiver_hits" else member(group, samples),
             int(group.attrs["bounces"]),
             str(group.attrs["key"]),
             _read_sampler(group),

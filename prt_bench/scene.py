@@ -15,7 +15,7 @@ from prt_bench.errors import SceneError
 
 MOST_EXPONENT = 1e6
 """Sharpest lobe of a glossy material, 0.1° wide; a mirror has no lobe that could be sampled or stored."""
-_LEAST_TILT = 0.01  # least cosine between a shading normal and its face's
+LEAST_TILT = 0.01  # least cosine between a shading normal and its face's
 _SLACK = 1e-6  # by which albedo and specular may exceed 1 together: float32 images
 
 
@@ -223,12 +223,12 @@ class Scene:
                 uv = self._uv_at(face[here], barycentric[here], f"material '{material.name}' has a normal image")
                 tilt = _bilinear(material.normal_image, uv)
                 tilt /= np.linalg.norm(tilt, axis=1, keepdims=True)
-                tilt[:, 2] = np.maximum(tilt[:, 2], _LEAST_TILT)
-                tilted = np.einsum("pk,pkd->pd", tilt, self._frames(face[here]))
+                tilt[:, 2] = np.maximum(tilt[:, 2], LEAST_TILT)
+                tilted = np.einsum("pk,pkd->pd", tilt, self.tangent_frames(face[here]))
                 normals[here] = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
         return normals
 
-    def _frames(self, face: Int[np.ndarray, " P"]) -> Float[np.ndarray, "P 3 3"]:
+    def tangent_frames(self, face: Int[np.ndarray, " P"]) -> Float[np.ndarray, "P 3 3"]:
         """Rows: unit vectors along u, along v and along the normal; the first two are zero where uv has no area."""
         corners, uv, normal = self.mesh.triangles[face], np.asarray(self.mesh.uv)[face], self.mesh.normals[face]
         (a, b), (s, t) = (np.stack([part[:, 1] - part[:, 0], part[:, 2] - part[:, 0]]) for part in (corners, uv))

@@ -1,5 +1,5 @@
 // Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds. DIRECT, INDIRECT,
-// SHADOWS, GLOSSY, ALBEDO_IMAGE and ROUGHNESS_IMAGE compile their part in.
+// SHADOWS, GLOSSY and images of ALBEDO, ROUGHNESS and NORMAL compile their part in.
 #ifdef DIRECT
 #include "emitters.glsl"
 #endif
@@ -14,6 +14,11 @@ in vec3 position;
 in vec2 lightmap_uv;
 in vec2 image_uv;
 flat in vec3 normal;
+#ifdef NORMAL_IMAGE
+flat in vec3 tangent;
+flat in vec3 bitangent;
+layout(binding = 8) uniform sampler2D normal_image;
+#endif
 flat in vec3 albedo;
 #ifdef GLOSSY
 flat in vec3 specular;
@@ -33,10 +38,21 @@ layout(binding = 2) uniform sampler2D albedo_image;
 
 const float PI = 3.14159265358979;
 
+vec3 shading_normal() {
+#ifdef NORMAL_IMAGE
+    vec3 tilt = normalize(texture(normal_image, image_uv).xyz);
+    tilt.z = max(tilt.z, LEAST_TILT);
+    return normalize(mat3(tangent, bitangent, normal) * tilt);
+#else
+    return normal;
+#endif
+}
+
 void main() {
+    vec3 facing = shading_normal();
     vec3 irradiance = vec3(0.0);
 #ifdef DIRECT
-    irradiance += direct_irradiance(position, normal);
+    irradiance += direct_irradiance(position, facing);
 #endif
 #ifdef INDIRECT
     irradiance += indirect_irradiance(lightmap_uv);
@@ -53,7 +69,7 @@ void main() {
         float roughness = texture(roughness_image, image_uv).r;
         if (exponent < 0.0) sharpness = 2.0 / (roughness * roughness) - 2.0;
 #endif
-        vec3 mirror = reflect(normalize(position - eye), normal);
+        vec3 mirror = reflect(normalize(position - eye), facing);
         radiance.rgb += specular * max(gloss(lightmap_uv, mirror, sharpness), vec3(0.0));
     }
 #endif

@@ -11,6 +11,12 @@ out vec2 lightmap_uv;
 out vec2 image_uv;
 flat out vec3 normal;
 flat out vec3 albedo;
+#ifdef NORMAL_IMAGE
+in vec3 in_tangent;
+in vec3 in_bitangent;
+flat out vec3 tangent;
+flat out vec3 bitangent;
+#endif
 #ifdef GLOSSY
 in vec3 in_specular;
 in float in_exponent;
@@ -36,6 +42,10 @@ void main() {
     lightmap_uv = in_lightmap_uv;
     image_uv = in_image_uv;
     albedo = in_albedo;
+#ifdef NORMAL_IMAGE
+    tangent = in_tangent;
+    bitangent = in_bitangent;
+#endif
 #ifdef GLOSSY
     specular = in_specular;
     exponent = in_exponent;

@@ -11,6 +11,7 @@ from prt_bench.runtime import shaders
 from prt_bench.runtime.lights import UploadedLights
 from prt_bench.runtime.mesh import MeshBuffers
 from prt_bench.runtime.projection import to_glsl
+from prt_bench.scene import LEAST_TILT
 
 
 class Screen:
@@ -53,6 +54,7 @@ class DrawPass:
         self._context = context
         self._ranges = mesh.ranges
         images = {"ALBEDO_IMAGE": 1} if mesh.has_images else {}
+        images |= {"NORMAL_IMAGE": 1, "LEAST_TILT": f"{LEAST_TILT:.9e}"} if mesh.has_normals else {}
         images |= {"ROUGHNESS_IMAGE": 1} if mesh.has_roughness and "GLOSSY" in defines else {}
         self._programs = {
             "depth": shaders.program(context, "draw.vert", None, {}),

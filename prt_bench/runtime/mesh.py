@@ -11,7 +11,8 @@ from prt_bench.scene import Material, Scene
 
 
 class MeshBuffers:
-    """Vertex attributes (flat geometric normals, as in the transport) and the vertex range of each albedo image.
+    """Vertex attributes (flat geometric normals, which normal images tilt as in the transport) and the vertex range of
+    each material's images.
 
     `corner` is the vertex of each face corner where transfer is stored at vertices.
     """
@@ -26,11 +27,12 @@ class MeshBuffers:
         image_uv = np.zeros((len(order), 3, 2)) if mesh.uv is None else mesh.uv[order]
         per_corner = {
             "in_position": mesh.triangles[order],
-            "in_normal": np.repeat(mesh.normals[order][:, None], 3, axis=1),
+            "in_normal": _thrice(mesh.normals[order]),
             "in_lightmap_uv": lightmap.corner_uv[order],
             "in_image_uv": image_uv,
             "in_albedo": _per_corner(np.array([m.albedo for m in materials]), owner),
             "in_specular": _per_corner(np.array([_lobe(m)[:3] for m in materials]), owner),
+            **self._frames(scene, order),
             "in_exponent": _per_corner(np.array([_lobe(m)[3:] for m in materials]), owner),
         }
         self._attributes = {
@@ -43,8 +45,9 @@ class MeshBuffers:
         self.has_images = any(material.image is not None for material in materials)
         self.has_roughness = any(m.glossy is not None and m.glossy.roughness_image is not None for m in materials)
         starts = 3 * np.searchsorted(owner, np.arange(len(materials) + 1))
+        self.has_normals = any(m.normal_image is not None for m in materials)
         self.ranges: list[tuple[int, int, dict[int, moderngl.Texture]]] = [(0, self.vertices, {})]
-        if self.has_images or self.has_roughness:
+        if self.has_images or self.has_roughness or self.has_normals:
             self.ranges = [
                 (int(first), int(last - first), self._images(context, material))
                 for material, (first, last) in zip(materials, pairwise(starts), strict=True)
@@ -54,7 +57,16 @@ class MeshBuffers:
     def _images(self, context: moderngl.Context, material: Material) -> dict[int, moderngl.Texture]:
         """A material's textures by the unit they are bound to."""
         albedo = {2: _albedo_texture(context, material)} if self.has_images else {}
-        return albedo | ({7: _roughness_texture(context, material)} if self.has_roughness else {})
+        roughness = {7: _roughness_texture(context, material)} if self.has_roughness else {}
+        return albedo | roughness | ({8: _normal_texture(context, material)} if self.has_normals else {})
+
+    @staticmethod
+    def _frames(scene: Scene, order: np.ndarray) -> dict[str, np.ndarray]:
+        """Directions along u and v of each corner, where a normal image is read in them."""
+        if all(material.normal_image is None for material in scene.materials):
+            return {}
+        tangent, bitangent, _ = np.moveaxis(scene.tangent_frames(order), 1, 0)
+        return {"in_tangent": _thrice(tangent), "in_bitangent": _thrice(bitangent)}
 
     def bound_to(self, program: moderngl.Program) -> moderngl.VertexArray:
         """A vertex array with the attributes the program uses."""
@@ -89,5 +101,18 @@ def _lobe(material: Material) -> tuple[float, float, float, float]:
     return *lobe.specular, lobe.exponent if lobe.roughness_image is None else -1.0
 
 
+def _normal_texture(context: moderngl.Context, material: Material) -> moderngl.Texture:
+    """The material's normal image, bottom row first; one upright texel where it has none."""
+    image = np.array([[[0.0, 0.0, 1.0]]]) if material.normal_image is None else material.normal_image[::-1]
+    height, width = image.shape[:2]
+    texture = context.texture((width, height), 3, np.ascontiguousarray(image, "<f4").tobytes(), dtype="f4")
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    return texture
+
+
 def _per_corner(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    return np.repeat(values[owner][:, None], 3, axis=1)
+    return _thrice(values[owner])
+
+
+def _thrice(per_face: np.ndarray) -> np.ndarray:
+    return np.repeat(per_face[:, None], 3, axis=1)
