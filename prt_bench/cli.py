@@ -120,7 +120,9 @@ def _view(args: argparse.Namespace) -> None:
         raise RuntimeUnavailable(f"the viewer needs Tk ({error}); on Debian: apt-get install python3-tk") from error
     ds = prt.LightingDataset.open(args.dataset)
     runtime = Runtime(ds)
-    view(runtime, ds.split("test").lightings, runtime.load(prt.load_asset(args.asset)), ds.scene.camera)
+    maps = [prt.Lighting((prt.EnvironmentLight(path),)) for path in args.environment]
+    lightings = (*maps, *ds.split("test").lightings)
+    view(runtime, lightings, runtime.load(prt.load_asset(args.asset)), ds.scene.camera)
 
 
 def _report(args: argparse.Namespace) -> None:
@@ -260,6 +262,9 @@ def _parser() -> argparse.ArgumentParser:
     made = command("view", _view, "show an asset at work in a window, under the test lightings")
     made.add_argument("dataset", type=Path)
     made.add_argument("asset", type=Path)
+    made.add_argument(
+        "--environment", type=Path, action="append", default=[], metavar="EXR", help="a map to begin with"
+    )
 
     made = command("report", _report, "write leaderboard and report from a run's records")
     made.add_argument("folder", type=Path)

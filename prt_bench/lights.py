@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
 
 from prt_bench.emitters import (
     EVERYWHERE,
@@ -214,6 +215,21 @@ def light_from_json(data: dict[str, Any], maps: dict[str, EnvironmentMap]) -> Li
     if data["type"] == "EnvironmentLight":
         return EnvironmentLight(maps[fields["map"]], jnp.asarray(fields["rotation"]))
     return kinds[data["type"]](**{name: jnp.asarray(value) for name, value in fields.items()})
+
+
+def turned(lighting: Lighting, angle: float) -> Lighting:
+    """The distant lights of a lighting turned about the vertical by an angle in radians; near lights stay where they are."""
+    turn = Rotation.from_rotvec([0.0, angle, 0.0])
+
+    def one(light: Light) -> Light:
+        if isinstance(light, EnvironmentLight):
+            whole = turn * Rotation.from_rotvec(np.array(light.rotation, float))
+            return EnvironmentLight(light.map, jnp.asarray(whole.as_rotvec()))
+        if isinstance(light, DirectionalLight):
+            return DirectionalLight(jnp.asarray(turn.apply(np.array(light.direction, float))), light.irradiance)
+        return light
+
+    return Lighting(tuple(one(light) for light in lighting.lights))
 
 
 def emitters(lightings: Sequence[Lighting]) -> Emitters:

@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 import prt_bench as prt
 from prt_bench.environment import EnvironmentMap, median_cut, texel_directions
 from prt_bench.errors import LightError
-from prt_bench.lights import emitters, irradiance, light_from_json, rotation_matrix
+from prt_bench.lights import emitters, irradiance, light_from_json, rotation_matrix, turned
 
 LIGHTS = [
     prt.PointLight([0.3, 1.0, -0.2], [3.0, 2.0, 1.0]),
@@ -178,3 +178,17 @@ def test_environment_with_bad_pixels_is_refused_with_a_count(value: float) -> No
     radiance[1, 2, 0] = value
     with pytest.raises(LightError, match="1 negative or non-finite"):
         EnvironmentMap("bad", radiance)
+
+
+def test_distant_light_turns_about_the_vertical_and_near_light_stays():
+    lights = (
+        prt.DirectionalLight((1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
+        prt.EnvironmentLight(np.random.default_rng(0).random((8, 16, 3)), (0.3, 0.2, -0.1)),
+        prt.PointLight((1.0, 2.0, 3.0), (1.0, 1.0, 1.0)),
+    )
+    whole = turned(prt.Lighting(lights), np.pi / 2)
+    np.testing.assert_allclose(whole.lights[0].direction, (0.0, -1.0, -1.0), atol=1e-12)
+    quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    before, after = (rotation_matrix(lighting.lights[1].rotation) for lighting in (prt.Lighting(lights), whole))
+    np.testing.assert_allclose(after, quarter @ before, atol=1e-12)
+    assert whole.lights[2] is lights[2]

@@ -12,12 +12,13 @@ from PIL import Image, ImageTk
 
 from prt_bench.errors import RuntimeUnavailable
 from prt_bench.images import exposure_for
-from prt_bench.lights import Lighting
+from prt_bench.lights import Lighting, turned
 from prt_bench.runtime.indirect import Indirect
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.scene import Camera
 
 _STEEPEST = np.radians(89.0)
+_TURN = np.radians(5.0)
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Orbit:
 def view(runtime: Runtime, lightings: Sequence[Lighting], indirect: Indirect, camera: Camera) -> None:
     """Open a window and return when it is closed. Raises `RuntimeUnavailable` where there is no display.
 
-    Drag to orbit, wheel to zoom, space for the next lighting, i and d to switch indirect and direct light, + and − for
-    exposure, q to close.
+    Drag to orbit, wheel to zoom, space for the next lighting, [ and ] to turn distant light about the vertical, i and d to
+    switch indirect and direct light, + and − for exposure, q to close.
     """
     try:
         window = tkinter.Tk()
@@ -76,7 +77,8 @@ class _Viewer:
         camera: Camera,
     ) -> None:
         self._runtime, self._indirect = runtime, indirect
-        self._lights = [runtime.light(lighting) for lighting in lightings]
+        self._lightings, self._lights = lightings, [runtime.light(lighting) for lighting in lightings]
+        self._angle = 0.0
         self._orbit = Orbit.of(camera)
         self._chosen, self._exposure = 0, exposure_for(runtime.frame(self._lights[0], indirect))
         self._shown = {"i": True, "d": True}
@@ -90,6 +92,8 @@ class _Viewer:
             window.bind(event, lambda _, factor=factor: self._zoom(factor))
         window.bind("<MouseWheel>", lambda event: self._zoom(0.9 if event.delta > 0 else 1 / 0.9))
         window.bind("<space>", lambda _: self._next())
+        for key, angle in (("[", -_TURN), ("]", _TURN)):
+            window.bind(key, lambda _, angle=angle: self._turn(angle))
         for key in self._shown:
             window.bind(key, lambda _, key=key: self._switch(key))
         for key, stops in (("+", 0.25), ("<minus>", -0.25)):
@@ -120,6 +124,11 @@ class _Viewer:
 
     def _next(self) -> None:
         self._chosen = (self._chosen + 1) % len(self._lights)
+        self._turn(0.0)
+
+    def _turn(self, angle: float) -> None:
+        self._angle += angle
+        self._lights[self._chosen] = self._runtime.light(turned(self._lightings[self._chosen], self._angle))
         self._draw()
 
     def _switch(self, key: str) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import prt_bench as prt
+from data_gen.assets import environment_maps
 from prt_bench.cli import main
 from prt_bench.errors import RuntimeUnavailable
 from prt_bench.lights import Lighting, PointLight
@@ -110,6 +111,23 @@ def test_events_change_what_the_window_shows(cornell, window):
     view(runtime, LIGHTINGS, indirect, cornell.scene.camera)
 
 
+@pytest.mark.gl
+def test_brackets_turn_distant_light(cornell, window):
+    runtime = Runtime(cornell, size=(64, 48), shadow_resolution=256)
+    indirect = runtime.lightmap(np.zeros((runtime.layout.receivers, 3)))
+
+    def steps(window: FakeTk) -> None:
+        before = window.picture
+        window.fire("]")
+        assert not np.array_equal(window.picture, before)
+        window.fire("[")
+        np.testing.assert_allclose(window.picture, before, atol=1)
+
+    window.steps = steps
+    sun = prt.Lighting([prt.DirectionalLight((0.3, -0.4, -1.0), (2.0, 2.0, 2.0))])
+    view(runtime, [sun], indirect, cornell.scene.camera)
+
+
 @pytest.fixture(scope="module")
 def baked(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """A dataset and an asset, as arguments of the command."""
@@ -127,6 +145,16 @@ def test_the_command_shows_the_asset_under_the_test_lightings(baked, window):
     assert main(["view", *baked]) == 0
     assert seen[0][0] > 100
     assert seen[0][1].startswith("cornell, lighting 0")
+
+
+@pytest.mark.gl
+def test_the_command_begins_with_the_maps_it_is_given(baked, window):
+    texts = []
+    window.steps = lambda window: texts.append((window.text, window.picture.max()))
+    path = next(iter(environment_maps().values()))
+    assert main(["view", *baked, "--environment", str(path)]) == 0
+    assert texts[0][0].startswith("cornell, lighting 0")
+    assert texts[0][1] > 20
 
 
 @pytest.mark.gl
