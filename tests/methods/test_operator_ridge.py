@@ -13,6 +13,7 @@ from prt_bench.methods import operator, operator_ridge
 from prt_bench.methods.examples import normalised
 from prt_bench.methods.operator import fit_albedo, importance, respond
 from prt_bench.methods.prior import mixed, prior_columns
+from prt_bench.records import Errors
 
 DATASET = example_dataset()
 TRAIN, TEST = DATASET.split("train"), DATASET.split("test")
@@ -111,14 +112,18 @@ def test_it_is_additive():
 
 
 def test_it_beats_svd_ridge_on_lights_never_seen():
-    """At the same size and so the same run-time cost, with the same span."""
-    ds = example_dataset(measurements=96)
-    prior, plain = (
-        prt.evaluate(prt.method(name, basis=16).fit(ds.split("train")), ds.split("test")).errors
-        for name in ("operator-ridge", "svd-ridge")
-    )
-    assert prior.relative_rmse < 0.6 * plain.relative_rmse
-    assert prior.projection == pytest.approx(plain.projection, rel=0.1)
+    """At the same size and so the same run-time cost, with the same span; over three draws of lights, which differ much."""
+    names = ("operator-ridge", "svd-ridge")
+    found: dict[str, list[Errors]] = {name: [] for name in names}
+    for seed in range(3):
+        ds = example_dataset(measurements=96, seed=seed)
+        for name in names:
+            model = prt.method(name, basis=16).fit(ds.split("train"))
+            found[name].append(prt.evaluate(model, ds.split("test")).errors)
+    prior, plain = (sum(errors.relative_rmse for errors in found[name]) for name in names)
+    assert prior < 0.6 * plain
+    for with_prior, without in zip(*(found[name] for name in names), strict=True):
+        assert with_prior.projection == pytest.approx(without.projection, rel=0.1)
 
 
 def test_one_channel_serves_an_achromatic_room():

@@ -48,7 +48,7 @@ def a_record(label: str = "svd-ridge b16", error: float | None = 0.02, basis: in
         "scene": "cornell", "scenario": "spot", "split": "test", "method": method, "label": label, "role": "method",
         "status": "ok", "settings": {"basis": basis, "ridge": 1e-3} if setting else {},
         "errors": Errors() if error is None else Errors(
-            rmse=0.31 * error, relative_rmse=error, negative_share=0.01 * error,
+            rmse=0.31 * error, relative_rmse=error, total=0.2 * error, negative_share=0.01 * error,
             psnr=-20 * math.log10(error / 3) if error else None,
             energy_bias=-0.1 * error, noise_floor=0.012, projection=math.sqrt(error**2 - coefficient**2),
             coefficient=coefficient, storage=3e-4, runtime=6e-5, measurement=0.02, flip=0.4 * error, ssim=1 - error,
