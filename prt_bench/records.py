@@ -66,8 +66,8 @@ class Stage:
 class Timing:
     """Timings of one device: `stages` are shadow, measure, transfer, draw, frame (GL) or measure, transfer, reconstruct (JAX).
 
-    `frame` is a whole frame as a user would see it; `baseline` is the same frame without indirect light. `clock` is "wall"
-    or "timer-query". Rows of different `device`s are never ranked together.
+    `frame` is a whole frame as a user would see it; `baseline` is the same frame without indirect light, where a method leaves
+    direct light to the runtime. `clock` is "wall" or "timer-query". Rows of different `device`s are never ranked together.
     """
 
     api: str  # "gl" or "jax"

@@ -25,7 +25,7 @@ def time_assets(
 
     Stages: shadow (all shadow maps), measure, transfer, draw (shading, sky, tone map) and frame, which is all of these
     as a user would see them, without reading back; `baseline` is the frame without indirect light. An asset that includes
-    direct light has no shadow stage. Uploading the lighting is not counted. Rounds are interleaved over passes and assets.
+    direct light has no shadow stage and no baseline. Uploading the lighting is not counted. Rounds are interleaved over passes and assets.
     Raises `SpecError` for less than one round.
     """
     (runtime,) = {asset.runtime for asset in loaded.values()}
@@ -66,7 +66,7 @@ def _timing(runtime: Runtime, clock: str, stages: Mapping[tuple[str, str], Stage
             "draw": stages[label, "draw"],
             "frame": stages[label, "frame"],
         },
-        baseline=stages["", "baseline"],
+        baseline=stages["", "baseline"] if shadows else None,
     )
 
 

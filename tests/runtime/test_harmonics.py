@@ -107,6 +107,7 @@ def test_stages_are_timed_without_shadows_where_there_are_none(room, window, tmp
     assert "shadow" in timings["svd-ridge"][0].stages
     for name in ("sh-texture", "sh-vertex"):
         assert list(timings[name][0].stages) == ["measure", "transfer", "draw", "frame"]
+        assert timings[name][0].baseline is None
 
 
 def test_what_does_not_fit_is_refused(room, window, tmp_path):
