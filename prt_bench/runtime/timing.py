@@ -25,8 +25,8 @@ def time_assets(
 
     Stages: shadow (all shadow maps), measure, transfer, draw (shading, sky, tone map) and frame, which is all of these
     as a user would see them, without reading back; `baseline` is the frame without indirect light. An asset that includes
-    direct light has no shadow stage and no baseline. Uploading the lighting is not counted. Rounds are interleaved over passes and assets.
-    Raises `SpecError` for less than one round.
+    direct light has no shadow stage and no baseline. Uploading the lighting is not counted. Rounds are interleaved over
+    passes and assets. Raises `SpecError` for less than one round.
     """
     (runtime,) = {asset.runtime for asset in loaded.values()}
     lights = runtime.light(lighting)
