@@ -9,8 +9,9 @@ import numpy as np
 from prt_bench.stability.cell import Measured
 from prt_bench.stability.routes import Route
 
-_STEPS = (1e-4, 1e-3, 1e-2)
-"""Short for functions that bend, long for those that have float32 inside; a right gradient matches one of them."""
+_STEPS = (1e-4, 1e-5, 1e-3, 1e-2)
+"""Short for functions that bend, as a basis whose next singular value is near, long for those that have float32 inside; a
+right gradient matches one of them."""
 
 
 def gradient_error(
