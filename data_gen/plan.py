@@ -142,7 +142,11 @@ def plan(
     gather = min(texels, gather_texels or _GATHER_TEXELS)
     bounces, bounce_reason = _bounces(scene.largest_albedo, tolerance, convex)
     decisions = (
-        Decision("effects", "diffuse", "no material asks for more"),
+        Decision(
+            "effects",
+            "diffuse",
+            "lobes towards the eye take no part in it" if scene.glossy else "no material asks for more",
+        ),
         Decision("channels", str(channels), "every albedo is grey" if channels == 1 else "albedo differs by channel"),
         Decision("bounces", f"≤ {bounces}", bounce_reason),
         Decision(
@@ -154,7 +158,9 @@ def plan(
                 None: "surfaces can occlude each other",
             }[convex],
         ),
-        Decision("view dependence", "none", "every material is diffuse"),
+        Decision("view dependence", "in the runtime", "materials have glossy lobes, which sh-triple shows")
+        if scene.glossy
+        else Decision("view dependence", "none", "every material is diffuse"),
         Decision(
             "gather samples",
             f"{gather}² texels",
