@@ -79,7 +79,7 @@ def renormalised(sound: Any) -> Any:
     """Light that escapes comes back."""
 
     def naive(hits: Any, adjoint: Any, padded: Any) -> Any:
-        carrying = jnp.mean(hits < padded.shape[0] - 1, axis=1)[:, None].astype(padded.dtype)
+        carrying = jnp.mean(hits < padded.shape[0] - 2, axis=1)[:, None].astype(padded.dtype)
         return sound(hits, adjoint, padded) / jnp.maximum(carrying, 1e-6) * (carrying > 0) + 0 * padded[:1]
 
     return naive
