@@ -53,6 +53,8 @@ def bake(
     streamed: int = 0,
     measure_on: MeasureOn = "surface",
     vertices: bool = False,
+    node_rays: int = 0,
+    node_tolerance: float = 0.02,
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -71,6 +73,11 @@ def bake(
     Direct light is measured on the surface, or, with `measure_on` "hull", around the bodies (see `hull_scene`).
 
     With `vertices` the mesh's vertices are traced too, for methods that store transfer there.
+
+    With `node_rays` receivers are traced where they are needed, by so many rays each, and interpolated between where the
+    operator is smooth: where that misses by no more than `node_tolerance` of what is seen (`data_gen.nodes`). Direct light
+    is computed everywhere, and gather samples keep `rays`. It pays on large lightmaps of large faces, not on curved meshes,
+    each of whose faces is refined on its own.
 
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
@@ -93,6 +100,8 @@ def bake(
         streamed,
         measure_on,
         vertices,
+        node_rays,
+        node_tolerance,
     )
     if layout is not None:
         if "hull" in (measure_on, layout.metadata.get("measure_on")):
@@ -168,6 +177,7 @@ def bake(
             "texels": texels,
             "gather_texels": settings.gather_texels,
             "rays": rays,
+            **({"node_rays": node_rays, "node_tolerance": node_tolerance} if node_rays else {}),
             "bounces": transport.bounces,
             "effects": list(settings.effects),
             "plan": settings.to_json(),

@@ -16,6 +16,8 @@ from prt_bench.emitters import Emitters
 from prt_bench.points import SurfacePoints
 from prt_bench.transport import final_gather, radiosity
 
+_NODES = 1 << 14  # nodes whose rays are in memory at once
+
 
 @dataclass(frozen=True)
 class Received:
@@ -57,14 +59,30 @@ class LightPass:
             for half in (0, 1)
         ]
 
+    @cached_property
+    def _at_nodes(self) -> list[Float[np.ndarray, "N J C"]]:
+        """Indirect light at the nodes, where not all receivers were traced, from each half of the rays."""
+        traced = self.transport.traced
+        parts = [slice(at, at + _NODES) for at in range(0, len(traced.receivers), _NODES)]
+        return [
+            np.concatenate(
+                [np.asarray(final_gather(traced.receiver_gather(rows, half), light)) for rows in parts], axis=1
+            )
+            for half, light in enumerate(self._halves)
+        ]
+
     def receive(self, rows: slice) -> Received:
         """Direct and indirect light at the receivers `rows`."""
         direct = self._direct(self.transport.receivers[rows])
-        first, second = (
-            final_gather(self.transport.receiver_gather(rows, half), self._halves[half]) for half in (0, 1)
-        )
+        first, second = (self._received(rows, half) for half in (0, 1))
         mean, squares = _combine(first, second)
         return Received(direct, np.asarray(mean), np.asarray(first), np.asarray(squares))
+
+    def _received(self, rows: slice, half: int) -> Float[Array, "N P C"]:
+        if self.transport.nodes is None:
+            return final_gather(self.transport.receiver_gather(rows, half), self._halves[half])
+        at_nodes = np.moveaxis(self._at_nodes[half], 1, 0)
+        return jnp.asarray(np.moveaxis(self.transport.spread(at_nodes, rows), 0, 1))
 
     def measured(self, dense: SurfacePoints, groups: Int[np.ndarray, "M s"]) -> Float[np.ndarray, "N M C"]:
         """Direct light at the measurement points: the mean over each group of dense points."""

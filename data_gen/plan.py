@@ -24,6 +24,7 @@ MOST_BOUNCES = 256
 MeasureOn = Literal["surface", "hull"]
 _GATHER_TEXELS = 256
 _LIGHT_SAMPLES = {"area": AREA_SAMPLES, "environment": ENVIRONMENT_SAMPLES}
+_NODE_SHARE = 0.2  # share of receivers that become nodes, for predictions
 _COVERAGE = 0.75  # share of lightmap texels that charts cover, for predictions
 
 
@@ -67,6 +68,8 @@ class Plan:
     vertices: bool
     decisions: tuple[Decision, ...]
     cost: Cost
+    node_rays: int = 0
+    node_tolerance: float = 0.0
 
     def needs_shadow_rays(self, scene: Scene, emitters: Emitters) -> bool:
         """False only where nothing can stand between these emitters and a surface they face."""
@@ -113,10 +116,13 @@ def plan(
     streamed: int = 0,
     measure_on: MeasureOn = "surface",
     vertices: bool = False,
+    node_rays: int = 0,
+    node_tolerance: float = 0.02,
 ) -> Plan:
     """Decide what baking `scene` needs.
 
-    `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light. Raises
+    `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light; `node_rays`
+    and `node_tolerance` are those of `bake`. Raises
     `SpecError` for settings that cannot be baked and `SceneError` for more measurement points than the surface can hold,
     or for a hull where there is no body.
     """
@@ -132,14 +138,23 @@ def plan(
         raise SpecError(f"measure_on must be {' or '.join(map(repr, get_args(MeasureOn)))}, not {measure_on!r}")
     if measure_on == "hull":
         check_hull(scene)
-    if rays < 2 or rays % 2:
-        raise SpecError(f"rays is {rays}, but it must be an even number from 2 up: the two halves measure the noise")
-    if not 0 < tolerance < 1:
-        raise SpecError(f"tolerance is {tolerance}, but it must lie between 0 and 1")
+    for name, value, least in (("rays", rays, 2), ("node_rays", node_rays, 0)):
+        if value < least or value % 2:
+            raise SpecError(
+                f"{name} is {value}, but it must be an even number from {least} up: the two halves measure the noise"
+            )
+    for name, value in (("tolerance", tolerance), ("node_tolerance", node_tolerance)):
+        if not 0 < value < 1:
+            raise SpecError(f"{name} is {value}, but it must lie between 0 and 1")
 
     convex = _convexity(scene)
     channels = 1 if scene.achromatic else 3
     gather = min(texels, gather_texels or _GATHER_TEXELS)
+    if node_rays and gather == texels:
+        raise SpecError(
+            f"node_rays is {node_rays}, but at {texels}² texels the receivers are the gather samples, which are all traced;"
+            " leave it out, or ask for fewer gather_texels"
+        )
     bounces, bounce_reason = _bounces(scene.largest_albedo, tolerance, convex)
     decisions = (
         Decision(
@@ -169,12 +184,20 @@ def plan(
             else "bounced light is smooth: a coarser lightmap carries it",
         ),
         Decision("rays per point", str(rays), "as asked; the noise is measured from their two halves"),
+        Decision(
+            "receivers",
+            f"{node_rays} rays, at nodes",
+            f"as asked: light between them is interpolated where that misses by less than {node_tolerance:.1%}",
+        )
+        if node_rays
+        else Decision("receivers", "all traced", "interpolation of smooth light was not asked for (node_rays)"),
     )
     if vertices:
         decisions += (Decision("vertices", "traced", "as asked, for transfer that is stored there"),)
     draft = Plan(
-        texels, gather, rays, bounces, tolerance, channels, convex, (), vertices, decisions, Cost(0, 0, 0, 0, 0.0)
-    )
+        texels, gather, rays, bounces, tolerance, channels, convex, (), vertices, decisions, Cost(0, 0, 0, 0, 0.0),
+        node_rays, node_tolerance,
+    )  # fmt: skip
     count = lightings + max(16, ceil(lightings / 4)) + 16 * len(ood)
     dense = measurements * supersampling
     return replace(draft, cost=_predict(draft, scene, scenario, count, dense, workers, streamed))
@@ -226,12 +249,16 @@ def _predict(
     traced = receivers if shared else receivers + samples
     lit = receivers + dense + (0 if shared else samples)
     columns = lightings * draft.channels
+    if draft.node_rays:
+        traced -= receivers
     gather_rays = (traced + draft.vertices * len(scene.mesh.vertices)) * draft.rays
+    gather_rays += int(_NODE_SHARE * receivers) * draft.node_rays
     lit_points = lit * lightings + (samples + dense) * streamed
     shadow_rays = 0 if draft.convex == "outside" else lit_points * _LIGHT_SAMPLES.get(scenario, 1)
     ray_rate, sum_rate = _rates(scene, workers)
-    passes = samples * min(draft.bounces, 16) + receivers
-    seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + passes * draft.rays * columns / sum_rate
+    gathered = _NODE_SHARE * receivers * draft.node_rays if draft.node_rays else receivers * draft.rays
+    sums = (samples * min(draft.bounces, 16) * draft.rays + gathered) * columns
+    seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + sums / sum_rate
     pairs = 4 * receivers * columns
     disk = 2 * pairs + pairs // 4 + gather_rays * 2 + 4 * samples * streamed
     memory = int(6e8) + 12 * samples * columns * 4 + 6 * min(receivers, 1 << 14) * columns * 4

@@ -8,6 +8,7 @@ import zarr
 from data_gen.atlas import lightmap_points, unwrap
 from data_gen.gather import buried, trace_hits
 from data_gen.journal import content_key, create_array, resumable
+from data_gen.nodes import Interpolation, Looker, interpolate
 from data_gen.plan import Plan
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
@@ -40,6 +41,7 @@ def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | N
             "tolerance": settings.tolerance,
             "effects": settings.effects,
             **({"vertices": True} if settings.vertices else {}),
+            **({"nodes": [settings.node_rays, settings.node_tolerance]} if settings.node_rays else {}),
             "seed": seed,
         }
     )
@@ -67,11 +69,12 @@ def trace(
     sampler = HemisphereSampler.create(settings.rays, seed)
 
     vertices, corner = shading_vertices(scene) if settings.vertices else (None, None)
-    tables = [("receiver_hits", receivers)]
+    tables = [] if settings.node_rays else [("receiver_hits", receivers)]
     tables += [] if shared else [("sample_hits", samples)]
     tables += [] if vertices is None else [("vertex_hits", vertices)]
     chunks = [(name, points, slice(at, at + CHUNK)) for name, points in tables for at in range(0, len(points), CHUNK)]
     needed = sum(len(points) for _, points in tables) * settings.rays * resolver.sample.dtype.itemsize
+    needed += len(receivers) * settings.node_rays // 2 * resolver.sample.dtype.itemsize
     with resumable(path, int(1.1 * needed)) as (partial, journal):
         group = zarr.open_group(partial, mode="a")
         for name, points in tables:
@@ -81,6 +84,13 @@ def trace(
         for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
             group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start)
             journal.add(index)
+        if settings.node_rays and len(chunks) not in journal.done:
+            directions = HemisphereSampler.create(settings.node_rays, seed)
+            hits = _grown(group, settings.node_rays, resolver)
+            look = Looker(tracer, resolver, directions, receivers, samples, hits)
+            found = interpolate(lightmap, receivers, hidden, settings.node_tolerance, look)
+            _write_nodes(group, found, receivers, directions)
+            journal.add(len(chunks))
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)
         write_points(group, "receivers", receivers)
@@ -89,8 +99,7 @@ def trace(
         if vertices is not None:
             write_points(group, "vertices", vertices)
             write_array(group, "corner", corner)
-        for name, array in zip(SAMPLER, (sampler.local, np.stack(sampler.jitter)), strict=True):
-            write_array(group, name, np.asarray(array))
+        _write_sampler(group, sampler)
         sample_hits = "receiver_hits" if shared else "sample_hits"
         gather = GatherOperator.from_hits(np.asarray(group[sample_hits][...]), len(samples))
         group.attrs.update(
@@ -104,6 +113,27 @@ def trace(
             }
         )
     return Transport.open(path)
+
+
+def _grown(group: zarr.Group, rays: int, resolver: HitResolver) -> zarr.Array:
+    """The hit table of the nodes, begun anew: it grows as they are found."""
+    if "receiver_hits" in group:
+        del group["receiver_hits"]
+    return create_array(group, "receiver_hits", (0, rays), (1024, rays), resolver.sample.dtype)
+
+
+def _write_sampler(group: zarr.Group, sampler: HemisphereSampler) -> None:
+    for name, array in zip(SAMPLER, (sampler.local, np.stack(sampler.jitter)), strict=True):
+        write_array(group, name, np.asarray(array))
+
+
+def _write_nodes(group: zarr.Group, found: Interpolation, receivers: SurfacePoints, sampler: HemisphereSampler) -> None:
+    child = group.require_group("nodes")
+    write_points(group, "nodes", receivers[found.nodes])
+    _write_sampler(child, sampler)
+    child.attrs["seed"] = sampler.seed
+    for name, array in (("corner", found.corner.astype(np.int32)), ("weight", found.weight)):
+        write_array(child, name, array)
 
 
 def _needed_bounces(gather: GatherOperator, samples: SurfacePoints, settings: Plan, name: str) -> int:

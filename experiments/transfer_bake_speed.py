@@ -1,14 +1,19 @@
-"""How long a large bake of classical transfer vectors takes, and how much memory and noise it has.
+"""How long a large bake of classical transfer vectors takes, and how much memory, noise and bias it has.
 
-Traces the scene as `prt.bake` does, then collects the direct transfer vectors from the rays that escape and sends those at
-the gather samples through all bounces: what `sh-texture` ships. Goal: an order-5 texture of 1024² texels in 4 minutes on two
-cores, with a noise of at most 1 %; the source paper names about 3 hours.
+Traces the scene as `prt.bake` does with `node_rays`: many rays at nodes of the lightmap, few at the gather samples, and
+everything between nodes interpolated where it is smooth. Then it collects the direct transfer vectors from the rays that
+escape and sends those at the gather samples through all bounces: what `sh-texture` ships. Goal: an order-5 texture of 1024²
+texels in 4 minutes on two cores, with at most 1 % of noise and of bias; the source paper names about 3 hours.
 
 Noise comes from two textures T_a and T_b of half of the rays each, which share nothing but the surface: ‖T_a − T_b‖ / 2‖T‖
-over all texels, channels and coefficients. It hardly depends on the number of texels, so without `--rays` the least power of
-two that meets the goal is looked for on 128² texels first.
+over all texels, channels and coefficients. Error is measured against texels drawn at random and traced one by one, with many
+rays of other directions; it holds the noise as well as what interpolation misses, and what is left of it without the noise
+of both is called bias. Radiosity at the gather samples is the bake's own on both sides.
 
-    python experiments/transfer_bake_speed.py [--scene room] [--texels 1024] [--order 5] [--rays N] [--out DIR]
+    python experiments/transfer_bake_speed.py [--scene room] [--texels 1024] [--order 5] [--rays 512] [--node_rays 2048]
+        [--tolerance 0.02] [--checked 2000] [--out DIR]
+
+`--node_rays 0` traces every texel with `--rays`.
 """
 
 import argparse
@@ -20,27 +25,47 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 import prt_bench as prt
-from data_gen.plan import plan
+from data_gen.atlas import lightmap_points, unwrap
+from data_gen.gather import buried, trace_hits
+from data_gen.plan import Plan, plan
+from data_gen.resolve import HitResolver
 from data_gen.trace import trace
 from data_gen.tracer import Tracer
-from prt_bench.dataset import Transport
+from prt_bench.dataset import Nodes, Transport
 from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.methods.escaping import direct_transfer
 from prt_bench.methods.operator import respond
 
-MINUTES, NOISE = 4.0, 0.01
-SMALL = 128
-RAYS = tuple(1 << power for power in range(5, 14))
-Vectors = tuple[np.ndarray, np.ndarray]
-
-
+MINUTES, GOAL = 4.0, 0.01
+CHECKED_RAYS = 1 << 14
 Seconds = dict[str, np.ndarray]
 """Wall and CPU seconds by stage."""
+
+
+class Vectors(NamedTuple):
+    """Direct [T, 1, K] and indirect [T, C, K] transfer vectors."""
+
+    direct: np.ndarray
+    indirect: np.ndarray
+
+    @property
+    def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Direct, indirect and their sum, float32."""
+        return self.direct, self.indirect, self.direct + self.indirect
+
+
+class Baked(NamedTuple):
+    """A bake of transfer vectors, and what it was made with."""
+
+    settings: Plan
+    transport: Transport
+    vectors: Vectors
 
 
 @contextmanager
@@ -56,45 +81,43 @@ def main() -> None:
     parser.add_argument("--scene", default="room")
     parser.add_argument("--texels", type=int, default=1024)
     parser.add_argument("--order", type=int, default=5)
-    parser.add_argument("--rays", type=int, help="per texel; without it the least that meets the noise goal")
+    parser.add_argument("--rays", type=int, default=512, help="per gather sample, and per texel without nodes")
+    parser.add_argument("--node_rays", type=int, default=2048, help="per node; 0 traces every texel")
+    parser.add_argument("--tolerance", type=float, default=0.02, help="of interpolation between nodes")
+    parser.add_argument("--checked", type=int, default=2000, help="texels traced one by one, to compare with")
     parser.add_argument("--out", type=Path, help="where hit tables are kept; without it they are thrown away")
     settings = parser.parse_args()
     with TemporaryDirectory() as folder:
         where = settings.out or Path(folder)
-        rays = settings.rays or least_rays(settings.scene, settings.order, where)
-        transport, vectors = report(settings.scene, settings.texels, rays, settings.order, where)
-        noise = split_half(transport, vectors, settings.order)
-        print(f"noise   {describe(noise)}; goal {NOISE:.0%}")
+        seconds: Seconds = {}
+        load = os.getloadavg()[0]
+        baked = collect(settings, where, seconds)
+        report(settings, baked, seconds, load)
+        print(f"noise   {describe(split_half(baked, settings.order))}; goal {GOAL:.0%}", flush=True)
+        compare(baked, settings.order, settings.checked, where)
 
 
-def least_rays(scene: str, order: int, folder: Path) -> int:
-    """The least power of two whose direct and indirect transfer together meet the goal, on a small texture."""
-    print(f"noise at {SMALL}² texels, of direct and indirect transfer and their sum:")
-    for rays in RAYS:
-        transport, vectors = collect(scene, SMALL, rays, order, folder, {})
-        noise = split_half(transport, vectors, order)
-        print(f"  {rays:5d} rays: {describe(noise)}", flush=True)
-        if noise[-1] <= NOISE:
-            return rays
-    raise SystemExit(f"{RAYS[-1]} rays leave a noise of {noise[-1]:.2%}, more than {NOISE:.0%}")
-
-
-def collect(
-    scene: str, texels: int, rays: int, order: int, folder: Path, seconds: Seconds
-) -> tuple[Transport, Vectors]:
+def collect(settings: argparse.Namespace, folder: Path, seconds: Seconds) -> Baked:
     """What a bake of transfer vectors consists of, each step timed."""
     with timed(seconds, "plan"):
-        loaded = prt.load_scene(scene)
-        tracer, settings = Tracer(loaded), plan(loaded, "environment", texels=texels, rays=rays)
+        loaded = prt.load_scene(settings.scene)
+        nodes = {"node_rays": settings.node_rays, "node_tolerance": settings.tolerance}
+        planned = plan(loaded, "environment", texels=settings.texels, rays=settings.rays, **nodes)
     with timed(seconds, "unwrap, trace, resolve"):
-        transport = trace(loaded, settings, 0, folder, tracer)
+        transport = trace(loaded, planned, 0, folder, Tracer(loaded))
+    return Baked(planned, transport, vectors_of(transport, settings.order, seconds))
+
+
+def vectors_of(transport: Transport, order: int, seconds: Seconds) -> Vectors:
+    """Transfer vectors at all receivers."""
+    traced = transport.traced
     with timed(seconds, "direct transfer"):
-        direct = direct_transfer(transport, transport.receiver_hits, transport.receivers, order)
+        direct = transport.spread(direct_transfer(traced, traced.receiver_hits, traced.receivers, order))
     with timed(seconds, "direct transfer at the gather samples"):
         at_samples = direct_transfer(transport, transport.sample_hits, transport.samples, order)
     with timed(seconds, "inter-reflections"):
         indirect = respond(transport, albedo(transport), at_samples)
-    return transport, (direct, indirect)
+    return Vectors(direct[:, None], indirect)
 
 
 def albedo(transport: Transport) -> jnp.ndarray:
@@ -102,17 +125,15 @@ def albedo(transport: Transport) -> jnp.ndarray:
     return jnp.asarray(transport.samples.albedo[:, : 1 if transport.scene.achromatic else 3], jnp.float32)
 
 
-def report(scene: str, texels: int, rays: int, order: int, folder: Path) -> tuple[Transport, Vectors]:
-    """One timed bake; its seconds and memory are printed."""
-    seconds: Seconds = {}
-    load = os.getloadavg()[0]
-    transport, vectors = collect(scene, texels, rays, order, folder, seconds)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+def report(settings: argparse.Namespace, baked: Baked, seconds: Seconds, load: float) -> None:
+    """Print seconds and memory of one bake."""
+    transport, memory = baked.transport, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    traced, samples = transport.receiver_hits, transport.sample_hits
     print(
-        f"{scene}: {len(transport.receivers)} of {texels}² texels, {rays} rays, order {order}, {transport.bounces} bounces,"
-    )
-    print(
-        f"{vectors[1].shape[1]} channels; {len(transport.samples)} gather samples, {len(transport.scene.mesh.faces)} triangles"
+        f"{settings.scene}: {len(transport.receivers)} of {settings.texels}² texels, {traced.shape[0]} of them traced with"
+        f" {traced.shape[1]} rays; {samples.shape[0]} gather samples with {samples.shape[1]}; order {settings.order},"
+        f" {transport.bounces} bounces, {baked.vectors.indirect.shape[1]} channels,"
+        f" {len(transport.scene.mesh.faces)} triangles"
     )
     for name, (wall, cpu) in seconds.items():
         print(f"  {name:38} {wall:8.1f} s wall, {cpu:8.1f} s CPU")
@@ -120,40 +141,84 @@ def report(scene: str, texels: int, rays: int, order: int, folder: Path) -> tupl
     print(f"bake    {wall:8.1f} s wall, {cpu:.1f} s CPU; goal {60 * MINUTES:.0f} s")
     print(f"load    {load:8.1f} before, on {os.cpu_count()} cores")
     print(f"memory  {memory / 1e9:8.2f} GB peak", flush=True)
-    return transport, vectors
 
 
-def split_half(transport: Transport, vectors: Vectors, order: int) -> tuple[float, float, float]:
-    """Noise of the direct and the indirect transfer and of their sum, from the two halves of the rays."""
-    first, second = (halved(transport, order, half) for half in (0, 1))
-    total = [direct[:, None] + indirect for direct, indirect in (vectors, first, second)]
-    pairs = (*zip(vectors, first, second, strict=True), total)
-    direct, indirect, both = (np.linalg.norm(a - b) / (2.0 * np.linalg.norm(whole)) for whole, a, b in pairs)
-    return float(direct), float(indirect), float(both)
+def split_half(baked: Baked, order: int) -> tuple[float, ...]:
+    """Noise of direct and indirect transfer and of their sum, from the two halves of the rays."""
+    halves = [vectors_of(halved(baked.transport, half), order, {}) for half in (0, 1)]
+    wholes = zip(*(part.all for part in (baked.vectors, *halves)), strict=True)
+    return tuple(float(np.linalg.norm(a - b) / (2.0 * np.linalg.norm(whole))) for whole, a, b in wholes)
 
 
-def halved(transport: Transport, order: int, half: int) -> Vectors:
-    """Transfer vectors from one half of the rays alone, in every bounce."""
-    rays = transport.receiver_hits.shape[1]
-    chosen = slice(half * rays // 2, (half + 1) * rays // 2)
-    sampler = transport.sampler
-    assert sampler is not None
-    part = replace(
-        transport,
-        receiver_hits=np.asarray(transport.receiver_hits[:, chosen]),
-        sample_hits=np.asarray(transport.sample_hits[:, chosen]),
-        sampler=HemisphereSampler.stored(
+def halved(transport: Transport, half: int, bounces: bool = True) -> Transport:
+    """The same with one half of the rays alone: in every bounce, or in the last."""
+
+    def part(count: int) -> slice:
+        return slice(half * count // 2, (half + 1) * count // 2)
+
+    def fewer(sampler: HemisphereSampler | None) -> HemisphereSampler:
+        assert sampler is not None
+        chosen = part(sampler.local.shape[1])
+        return HemisphereSampler.stored(
             np.asarray(sampler.local)[:, chosen], np.stack(sampler.jitter)[:, :, chosen], sampler.seed
-        ),
+        )
+
+    nodes = transport.nodes
+    last = replace(
+        transport,
+        receiver_hits=np.asarray(transport.receiver_hits[:, part(transport.receiver_hits.shape[1])]),
+        nodes=nodes and nodes._replace(sampler=fewer(nodes.sampler)),
     )
-    direct = direct_transfer(part, part.receiver_hits, part.receivers, order)
-    at_samples = direct_transfer(part, part.sample_hits, part.samples, order)
-    return direct, respond(part, albedo(part), at_samples)
+    if nodes is not None and not bounces:
+        return last
+    sample_hits = np.asarray(transport.sample_hits[:, part(transport.sample_hits.shape[1])])
+    return replace(last, sample_hits=sample_hits, sampler=fewer(transport.sampler))
 
 
-def describe(noise: tuple[float, float, float]) -> str:
+def compare(baked: Baked, order: int, count: int, folder: Path) -> None:
+    """Print how far random texels are from the same texels traced one by one."""
+    transport = baked.transport
+    chosen = np.sort(np.random.default_rng(0).permutation(len(transport.receivers))[:count])
+    alone = traced_alone(baked, chosen, folder)
+    wanted = vectors_of(alone, order, {})
+    ours = [Vectors(*(part[chosen] for part in baked.vectors))]
+    ours += [
+        Vectors(*(part[chosen] for part in vectors_of(halved(transport, half, bounces=False), order, {})))
+        for half in (0, 1)
+    ]
+    halves = [vectors_of(halved(alone, half, bounces=False), order, {}) for half in (0, 1)]
+    columns = zip(*(part.all for part in (*ours, wanted, *halves)), strict=True)
+    errors, biases, noises = [], [], []
+    for found, a, b, truth, c, d in columns:
+        size = np.sum(truth**2, dtype=float)
+        squares = (
+            np.array([np.sum(part**2, dtype=float) for part in (found - truth, 0.5 * (a - b), 0.5 * (c - d))]) / size
+        )
+        errors.append(np.sqrt(squares[0]))
+        noises.append(np.sqrt(squares[2]))
+        biases.append(np.sqrt(max(squares[0] - squares[1] - squares[2], 0.0)))
+    print(f"against {count} texels traced alone, {CHECKED_RAYS} rays each, whose noise is {describe(noises)}:")
+    print(f"error   {describe(errors)}; goal {GOAL:.0%}")
+    print(f"bias    {describe(biases)}; goal {GOAL:.0%}")
+
+
+def traced_alone(baked: Baked, chosen: np.ndarray, folder: Path) -> Transport:
+    """The same transport with a few receivers, each traced with many rays of its own."""
+    settings, transport, scene = baked.settings, baked.transport, baked.transport.scene
+    tracer, points = Tracer(scene), transport.receivers[chosen]
+    gather_map = unwrap(scene, settings.gather_texels, folder)
+    samples = lightmap_points(scene, gather_map)
+    resolver = HitResolver.create(scene.mesh, gather_map, samples, buried(tracer, samples, 0))
+    sampler = HemisphereSampler.create(CHECKED_RAYS, 1)
+    hits = trace_hits(tracer, resolver, sampler, points, 0)
+    itself = np.repeat(np.arange(len(points))[:, None], 4, axis=1), np.tile(np.float32([1, 0, 0, 0]), (len(points), 1))
+    hidden, nodes = transport.buried[chosen], Nodes(points, sampler, *itself)
+    return replace(transport, receivers=points, buried=hidden, receiver_hits=hits, nodes=nodes)
+
+
+def describe(shares: tuple[float, ...] | list[float]) -> str:
     """Percentages by name."""
-    return ", ".join(f"{name} {value:.2%}" for name, value in zip(("direct", "indirect", "sum"), noise, strict=True))
+    return ", ".join(f"{name} {value:.2%}" for name, value in zip(("direct", "indirect", "sum"), shares, strict=True))
 
 
 if __name__ == "__main__":

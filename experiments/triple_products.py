@@ -22,12 +22,12 @@ from data_gen.journal import data_folder
 from data_gen.reference_image import reference_image
 from data_gen.tracer import Tracer
 from prt_bench.glossy import TripleModel, mirrored
-from prt_bench.methods.escaping import transfer_matrices
 from prt_bench.runtime.generate import operations
 from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.runtime.timing import time_assets
 from prt_bench.scene import Glossy, Scene
+from prt_bench.visibility import transfer_matrices
 
 EXPONENTS = (5.0, 20.0, 80.0, 320.0)
 ORDERS = (3, 5, 8)

@@ -35,6 +35,8 @@ class Transport:
     escaped, along the direction that `sampler` gives for it. Both halves of the
     rays are estimates of their own, and their difference is the noise floor. `buried` [T] marks receivers whose point lies
     inside another body that stands on their texel; no light reaches them, and pictures fill them from their neighbours.
+
+    With `nodes` only some receivers were traced: `receiver_hits` [J, R'] has their rows, see `traced` and `spread`.
     """
 
     scene: Scene
@@ -48,6 +50,7 @@ class Transport:
     key: str
     sampler: HemisphereSampler | None = None
     vertices: "Vertices | None" = None
+    nodes: "Nodes | None" = None
 
     @classmethod
     def open(cls, path: Path) -> "Transport":
@@ -66,6 +69,7 @@ class Transport:
             str(group.attrs["key"]),
             _read_sampler(group),
             _read_vertices(group),
+            _read_nodes(group),
         )
 
     def at_vertices(self) -> "tuple[Transport, Int[np.ndarray, 'F 3']]":
@@ -76,7 +80,26 @@ class Transport:
         if self.vertices is None:
             raise DatasetError(f"the vertices of '{self.scene.name}' were not traced; bake it with vertices = true")
         points, corner, hits = self.vertices
-        return replace(self, receivers=points, buried=np.zeros(len(points), bool), receiver_hits=hits), corner
+        exposed = np.zeros(len(points), bool)
+        return replace(self, receivers=points, buried=exposed, receiver_hits=hits, nodes=None), corner
+
+    @property
+    def traced(self) -> "Transport":
+        """The same transport with the points that rays left from as receivers: itself, or its J nodes."""
+        if self.nodes is None:
+            return self
+        exposed = np.zeros(len(self.nodes.points), bool)
+        return replace(self, receivers=self.nodes.points, buried=exposed, sampler=self.nodes.sampler, nodes=None)
+
+    def spread(self, values: Float[np.ndarray, "J *rest"], rows: slice = slice(None)) -> Float[np.ndarray, "t *rest"]:
+        """Values at the receivers `rows` from those at the receivers of `traced`; where every receiver was traced, its own."""
+        if self.nodes is None:
+            return values[rows]
+        corner, weight = self.nodes.corner[rows], self.nodes.weight[rows]
+        mixed = values[corner[:, 0]] * weight[:, 0].reshape(-1, *[1] * (values.ndim - 1))
+        for end in (1, 2, 3):
+            mixed += values[corner[:, end]] * weight[:, end].reshape(-1, *[1] * (values.ndim - 1))
+        return mixed
 
     def sample_gather(self, half: int | None = None, differentiable: bool = False) -> GatherOperator:
         """The operator from samples to samples; `half` 0 or 1 takes one half of the rays, None all of them."""
@@ -85,7 +108,7 @@ class Transport:
     def receiver_gather(
         self, rows: slice = slice(None), half: int | None = None, differentiable: bool = False
     ) -> GatherOperator:
-        """The operator from samples to some of the receivers."""
+        """The operator from samples to some of the receivers; of `traced`, where not all of them were."""
         return self._operator(self.receiver_hits, rows, half, differentiable)
 
     def _operator(self, table: Any, rows: slice, half: int | None, differentiable: bool) -> GatherOperator:
@@ -102,6 +125,16 @@ class Vertices(NamedTuple):
     points: SurfacePoints
     corner: Int[np.ndarray, "F 3"]
     hits: Int[np.ndarray, "V R"] | zarr.Array
+
+
+class Nodes(NamedTuple):
+    """The J receivers that rays were traced from, along the directions of `sampler`, where the others lie between them: values
+    at receiver t are those at the nodes `corner` [T, 4] with the shares `weight` [T, 4]."""
+
+    points: SurfacePoints
+    sampler: HemisphereSampler
+    corner: Int[np.ndarray, "T 4"]
+    weight: Float[np.ndarray, "T 4"]
 
 
 class Streamed(NamedTuple):
@@ -262,6 +295,13 @@ def _read_vertices(group: Any) -> Vertices | None:
     )
 
 
-def _read_sampler(group: Any) -> HemisphereSampler:
-    local, jitter = (np.asarray(member(group, name)[...]) for name in SAMPLER)
+def _read_nodes(group: Any) -> Nodes | None:
+    if "nodes" not in group:
+        return None
+    corner, weight = (np.asarray(member(group, f"nodes/{name}")[...]) for name in ("corner", "weight"))
+    return Nodes(read_points(group, "nodes"), _read_sampler(group, "nodes/"), corner, weight)
+
+
+def _read_sampler(group: Any, folder: str = "") -> HemisphereSampler:
+    local, jitter = (np.asarray(member(group, folder + name)[...]) for name in SAMPLER)
     return HemisphereSampler.stored(local, jitter, int(group.attrs["seed"]))

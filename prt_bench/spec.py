@@ -33,6 +33,8 @@ class BakeSpec:
     streamed: int = 0
     measure_on: str = "surface"
     vertices: bool = False
+    node_rays: int = 0
+    node_tolerance: float = 0.02
 
 
 @dataclass(frozen=True)

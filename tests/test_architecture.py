@@ -21,6 +21,7 @@ READ_BY_BAKE = (
     "emitters",
     "environment",
     "hemisphere",
+    "visibility",
     "points",
     "transport",
     "dataset",

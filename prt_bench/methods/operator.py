@@ -27,7 +27,8 @@ def respond(
 ) -> Float[np.ndarray, "T C P"]:
     """𝒮 · direct: the indirect irradiance of all bounces that P grey patterns of direct light cause; float32, as the bake."""
     channels = albedo.shape[1]
-    out = np.empty((len(transport.receivers), channels, direct.shape[1]), np.float32)
+    traced = transport.traced
+    out = np.empty((len(traced.receivers), channels, direct.shape[1]), np.float32)
     gather = transport.sample_gather()
     for start in range(0, direct.shape[1], _COLUMNS):
         columns = slice(start, start + _COLUMNS)
@@ -35,9 +36,9 @@ def respond(
         light = jnp.broadcast_to(part, (*part.shape[:2], channels))
         outgoing = radiosity(gather, albedo, light, transport.bounces - 1)
         for rows in _row_blocks(len(out)):
-            received = final_gather(transport.receiver_gather(rows), outgoing)
+            received = final_gather(traced.receiver_gather(rows), outgoing)
             out[rows, :, columns] = np.moveaxis(np.asarray(received), 0, 2)
-    return out
+    return transport.spread(out)
 
 
 def importance(transport: Transport, albedo: Float[Array, "S C"], u: Float[Array, "T B"]) -> Float[Array, "C S B"]:
@@ -47,8 +48,13 @@ def importance(transport: Transport, albedo: Float[Array, "S C"], u: Float[Array
     albedo, in the precision of u: derivatives of a fit are held to 1e-6, which float32 within would cost.
     """
     received = jnp.zeros((len(transport.samples), u.shape[1]), u.dtype)
+    traced, nodes = transport.traced, transport.nodes
+    if nodes is not None:  # what `spread` does, the other way
+        shares = jnp.asarray(nodes.weight, u.dtype)[:, :, None] * u[:, None]
+        ends = jnp.asarray(nodes.corner).reshape(-1)
+        u = jax.ops.segment_sum(shares.reshape(-1, u.shape[1]), ends, num_segments=len(nodes.points))
     for rows in _row_blocks(u.shape[0]):
-        received += _transposed_gather(transport.receiver_gather(rows), u[rows])
+        received += _transposed_gather(traced.receiver_gather(rows), u[rows])
     gather = transport.sample_gather(differentiable=True)
     return jnp.stack(
         [_transposed_bounces(gather, albedo[:, c : c + 1], received, transport.bounces) for c in range(albedo.shape[1])]

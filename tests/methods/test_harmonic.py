@@ -16,9 +16,10 @@ from prt_bench.example import example_dataset
 from prt_bench.harmonic import light_coefficients
 from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.lights import emitters
-from prt_bench.methods.escaping import escaping_transfer, transfer_matrices, transfer_vectors
+from prt_bench.methods.escaping import transfer_vectors
 from prt_bench.scene import Camera, Material, Mesh, Scene
 from prt_bench.spherical import evaluate, product_matrix, quadrature
+from prt_bench.visibility import escaping_transfer, transfer_matrices
 
 ORDER = 5
 SETTINGS = {"lightings": 2, "texels": 24, "rays": 256, "measurements": 16, "vertices": True}
