@@ -182,10 +182,10 @@ def _stability(args: argparse.Namespace) -> int:
 
     if args.out:
         board.check_target(args.out)  # before minutes of work
-    cells = board.run(board.selected(args.case), args.route)
+    cells = board.run(board.selected(args.case), args.route, jobs=args.jobs)
     if args.out and args.mutations:
         board.write(args.out, cells, ())  # should a mutant not end
-    killed = mutants.kills(known=cells) if args.mutations else ()
+    killed = mutants.kills(known=cells, jobs=args.jobs) if args.mutations else ()
     found = board.goals(cells, killed)
     table.show(_out, cells, killed, found)
     if args.out:
@@ -295,6 +295,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     made.add_argument("--route", action="append", default=[], choices=("f64", "f32", "f32 from f16", "f32 from bf16"))
     made.add_argument("--mutations", action="store_true", help="also put naive formulas in place of the sound ones")
+    made.add_argument("--jobs", type=int, help="processes; one for each core without it")
     made.add_argument("--out", type=Path, help="a run's folder, whose report then shows the scoreboard, or a JSON file")
     command("doctor", _doctor, "what this machine offers, and what is missing for what")
     return parser

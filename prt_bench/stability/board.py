@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from prt_bench.errors import SpecError
-from prt_bench.progress import track
 from prt_bench.records import provenance
 from prt_bench.stability.cases import cases
 from prt_bench.stability.cell import Case, Cell, Kind, Outcome, run_cell
+from prt_bench.stability.processes import spread
+from prt_bench.stability.routes import ROUTES
 
 FILE = "stability.json"
 """Name of the scoreboard in a run's folder."""
@@ -55,17 +56,25 @@ def selected(keys: Sequence[str] = ()) -> list[Case]:
     return [case for case in cases() if not keys or case.key in keys]
 
 
-def run(chosen: Iterable[Case], routes: Sequence[str] = (), progress: bool = True) -> list[Cell]:
-    """Every cell of the chosen cases, in the routes named (all without names)."""
-    wanted = list(_cells(chosen, routes))
-    return [run_cell(*cell) for cell in (track(wanted, "stability") if progress else wanted)]
+_Place = tuple[int, str, int]
+"""A cell by the places of its case and route, and its subject: what another process can be told."""
 
 
-def _cells(chosen: Iterable[Case], routes: Sequence[str]) -> Iterator[tuple]:
+def run(chosen: Iterable[Case], routes: Sequence[str] = (), progress: bool = True, jobs: int | None = 1) -> list[Cell]:
+    """Every cell of the chosen cases, in the routes named (all without names), in `jobs` processes (None: one a core)."""
+    return list(spread(_cell, list(_places(chosen, routes)), "stability", jobs, progress))
+
+
+def _places(chosen: Iterable[Case], routes: Sequence[str]) -> Iterator[_Place]:
     for case in chosen:
         for route in case.routes:
             if not routes or route.name in routes:
-                yield from ((case, subject, route) for subject in case.subjects())
+                yield from ((cases().index(case), subject, ROUTES.index(route)) for subject in case.subjects())
+
+
+def _cell(place: _Place) -> Cell:
+    case, subject, route = place
+    return run_cell(cases()[case], subject, ROUTES[route])
 
 
 def goals(cells: Sequence[Cell], kills: Sequence[Kill] = ()) -> list[Goal]:

@@ -10,7 +10,7 @@ from prt_bench.lights import DirectionalLight, Lighting
 from prt_bench.methods.base import Method
 from prt_bench.stability.cases.fits import EQUAL, difference, shipped
 from prt_bench.stability.cell import Measured, Member, case
-from prt_bench.stability.rigs import room, unlearned
+from prt_bench.stability.rigs import OPEN, room, unlearned
 from prt_bench.stability.routes import F32, F64, Route
 
 
@@ -32,7 +32,7 @@ class _Lit:
 @case("A13", "transfer vectors shipped in float32", subjects=unlearned, family=_suns, routes=(F64, F32))
 def ships(method: Method, sun: Lighting, route: Route) -> Iterator[Measured]:
     """Finite, and the asset differs by float32 rounding of the terms that it adds up."""
-    model = method.fit(room(5).split("train"))
+    model = method.fit(room(OPEN).split("train"))
     lit = _Lit(sun)
     plain = np.asarray(model.predict(lit), np.float64)  # pyright: ignore[reportArgumentType]
     yield Measured(0.0 if np.all(np.isfinite(plain)) else np.nan, 1.0)
@@ -46,7 +46,7 @@ def ships(method: Method, sun: Lighting, route: Route) -> Iterator[Measured]:
 @case("C4", "distant light, f(a x) = a f(x)", subjects=unlearned, family=_suns, routes=(F64, F32))
 def homogeneous(method: Method, sun: Lighting, route: Route) -> Iterator[Measured]:
     """C4, A6: homogeneous and additive over twelve decades, and exactly black for no light."""
-    model = method.fit(room(5).split("train"))
+    model = method.fit(room(OPEN).split("train"))
     x = jnp.asarray(model.measure(_Lit(sun)), jnp.float64)  # pyright: ignore[reportArgumentType]
     plain = model.reconstruct(model.transfer(x))
     for factor in (1e-6, 3.0, 1e6):

@@ -10,7 +10,7 @@ from prt_bench.methods.base import Method
 from prt_bench.stability import rigs
 from prt_bench.stability.cell import Kind, Measured, Member, case
 from prt_bench.stability.differences import gradient_error
-from prt_bench.stability.rigs import Rig, dataset, subjects
+from prt_bench.stability.rigs import Rig, relit, subjects
 from prt_bench.stability.routes import Route
 
 _RIDGE = 0.03
@@ -45,7 +45,7 @@ def in_training_data(method: Method, rig: Rig, route: Route) -> Iterator[Measure
     """H1, B4, A6: through normalisation, mean, basis and ridge, on duplicates, darkness, symmetry and missing rank."""
 
     def predict(measured: jax.Array, indirect: jax.Array) -> jax.Array:
-        return method.fit(dataset(measured, indirect)).predict(rig.test)  # pyright: ignore[reportArgumentType]
+        return method.fit(relit(rig.train, measured, indirect)).predict(rig.test)  # pyright: ignore[reportArgumentType]
 
     return gradient_error(predict, [rig.train.measured, rig.train.indirect], rig.tangent, route)
 

@@ -9,17 +9,17 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 from unittest.mock import patch
 
 import jax
 
-from prt_bench.progress import track
 from prt_bench.stability.board import HEADROOM, Kill
 from prt_bench.stability.cases import cases
 from prt_bench.stability.cell import Case, Cell, run_cell
+from prt_bench.stability.processes import spread
 from prt_bench.stability.routes import F32, F64, Route
 
 _MEMBERS = 16
@@ -58,11 +58,24 @@ def mutants() -> tuple[Mutant, ...]:
 _Sound = dict[tuple[str, str, str, str, str], bool]
 
 
-def kills(chosen: Sequence[Mutant] | None = None, known: Sequence[Cell] = (), progress: bool = True) -> list[Kill]:
-    """Run every mutant against its cells. The outcomes of cells that are `known` already are not measured again."""
+def kills(
+    chosen: Sequence[Mutant] | None = None, known: Sequence[Cell] = (), progress: bool = True, jobs: int | None = 1
+) -> list[Kill]:
+    """Run every mutant against its cells, in `jobs` processes (None: one a core).
+
+    The outcomes of cells that are `known` already are not measured again. Mutants that are not among `mutants()` run in
+    this process alone.
+    """
     chosen = mutants() if chosen is None else chosen
     sound: _Sound = {(cell.case, cell.title, cell.kind, cell.subject, cell.route): _holds(cell) for cell in known}
-    return [_kill(each, sound) for each in (track(chosen, "mutants") if progress else chosen)]
+    if jobs == 1:
+        return list(spread(partial(_kill, sound=sound), chosen, "mutants", 1, progress))
+    places = [mutants().index(each) for each in chosen]
+    return list(spread(partial(_kill_at, sound=sound), places, "mutants", jobs, progress))
+
+
+def _kill_at(place: int, sound: _Sound) -> Kill:
+    return _kill(mutants()[place], sound)
 
 
 def _kill(each: Mutant, sound: _Sound) -> Kill:
