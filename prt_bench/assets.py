@@ -18,8 +18,9 @@ from safetensors.numpy import load, save
 
 from prt_bench.errors import AssetError
 from prt_bench.gamma import GammaCoupledModel, GammaLinearModel
-from prt_bench.glossy import FixedTripleModel, TripleModel
+from prt_bench.glossy import BouncedTripleModel, FixedTripleModel, TripleModel
 from prt_bench.harmonic import HarmonicIndirectModel, HarmonicModel, VertexHarmonicModel
+from prt_bench.learned.models import ResidualModel
 from prt_bench.models import CoupledModel, LinearModel, Model, NearestModel
 
 FORMAT = "prt-bench runtime asset"
@@ -30,11 +31,13 @@ _MODELS: tuple[type[Model], ...] = (
     GammaLinearModel,
     GammaCoupledModel,
     NearestModel,
+    ResidualModel,
     HarmonicModel,
     HarmonicIndirectModel,
     VertexHarmonicModel,
     TripleModel,
     FixedTripleModel,
+    BouncedTripleModel,
 )
 DTYPES = ("float32", "float16")
 """What a basis can be stored in."""
@@ -67,7 +70,7 @@ class RuntimeAsset:
     def model(self) -> Model:
         """The model with the weights as stored, computing in float32: what the runtime is compared with."""
         weights = {name: jnp.asarray(array, jnp.float32) for name, array in self.arrays.items()}
-        return _model_class(self.kernels)(**weights)
+        return _model_class(self.kernels).from_arrays(weights)
 
     def predict(self, ds: object) -> Float[np.ndarray, "N T C"]:
         """Indirect irradiance from the stored weights, in float32; with the direct where the asset includes it."""
@@ -79,8 +82,8 @@ class RuntimeAsset:
 def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsset:
     """Write `model` to the folder `path` in one step (a half-written asset is never visible) and load it back.
 
-    The basis is stored in `dtype`; what transfers coefficients stays float32. Raises `AssetError` for weights that are not
-    finite or overflow `dtype`.
+    The basis, and the matrices of networks, are stored in `dtype`; a linear transfer stays float32. Raises `AssetError` for
+    weights that are not finite or overflow `dtype`.
     """
     if dtype not in DTYPES:
         raise AssetError(f"assets store {' or '.join(DTYPES)}, not '{dtype}'")
@@ -90,7 +93,7 @@ def write_asset(model: Model, path: Path, dtype: str = "float32") -> RuntimeAsse
         )
     with np.errstate(over="ignore"):  # an overflow is refused below, with its name
         stored = {
-            name: np.ascontiguousarray(array, dtype if name == "basis" else "float32")
+            name: np.ascontiguousarray(array, dtype if name.startswith(model.narrow) else "float32")
             for name, array in model.arrays().items()
         }
     for name, array in stored.items():

@@ -54,7 +54,10 @@ def evaluate(
         reason=None if asset else "it needs the answer to predict it",
         errors=errors(fitted, ds, asset),
         bytes=_sizes(asset) if asset else {},
-        curves={} if spectrum is None else {"singular_values": np.asarray(spectrum).tolist()},
+        curves={
+            **({} if spectrum is None else {"singular_values": np.asarray(spectrum).tolist()}),
+            **({} if fitted is None else {name: np.asarray(curve).tolist() for name, curve in fitted.history.items()}),
+        },
         asset={"sha256": asset.sha256, "dtype": asset.dtype} if asset else {},
     )
 

@@ -4,8 +4,9 @@ Models are what an asset holds and the runtime runs, whatever method fitted them
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -37,6 +38,8 @@ class Model(eqx.Module):
 
     With "direct": "included" a prediction holds the direct light too, and the runtime adds none.
     """
+    narrow: ClassVar[tuple[str, ...]] = ("basis",)
+    """Beginnings of the names of arrays that an asset stores in its own dtype; all others stay float32."""
 
     @property
     def includes_direct(self) -> bool:
@@ -67,6 +70,11 @@ class Model(eqx.Module):
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
         """The weights by name, as an asset stores them."""
 
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Float[Array, "..."]]) -> Self:
+        """The model of weights by name: the inverse of `arrays`."""
+        return cls(**arrays)
+
     @property
     def span(self) -> Float[Array, "T B"] | Float[Array, "TC B"] | None:
         """Columns whose span holds every channel of a prediction, or all of them interleaved; None where there are none.
@@ -79,6 +87,11 @@ class Model(eqx.Module):
     def spectrum(self) -> Float[Array, " n"] | None:
         """Singular values of the light it was fitted to, descending; None when none were computed. They are not shipped."""
         return None
+
+    @property
+    def history(self) -> dict[str, Float[np.ndarray, " k"]]:
+        """Curves of the training that found the weights; none where they were fitted in closed form. They are not shipped."""
+        return {}
 
     def export(self, path: str | Path, dtype: str = "float32") -> "RuntimeAsset":
         """Write the weights as a runtime asset, the basis in `dtype` ("float32" or "float16"), and return it loaded back."""

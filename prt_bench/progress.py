@@ -1,6 +1,7 @@
 """Progress bars on standard error for long work; silent where standard error is not a terminal."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console
@@ -23,6 +24,24 @@ def track(work: Sequence[T], description: str) -> Iterator[T]:
     )
     with bar:
         yield from bar.track(work, description=description)
+
+
+@contextmanager
+def meter(description: str, total: int) -> Iterator[Callable[[int, str], None]]:
+    """A bar for work that tells how it goes: the function it gives takes how much of `total` is done, and a remark."""
+    bar = Progress(
+        TextColumn("{task.description:<34}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[remark]}"),
+        console=console,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        task = bar.add_task(description, total=total, remark="")
+        yield lambda done, remark: bar.update(task, completed=done, remark=remark)
 
 
 def say(message: str) -> None:

@@ -97,7 +97,7 @@ class Record:
     seconds: dict[str, float] = field(default_factory=dict)  # "bake", "fit"
     bytes: dict[str, int] = field(default_factory=dict)  # "asset", "basis", "transfer", "runtime"
     timings: tuple[Timing, ...] = ()
-    curves: dict[str, list[float]] = field(default_factory=dict)  # "singular_values"
+    curves: dict[str, list[float]] = field(default_factory=dict)  # "singular_values"; "training_…"
     dataset: dict[str, Any] = field(default_factory=dict)  # hash, texels, lightings, rays, measurements, plan, effects
     asset: dict[str, Any] = field(default_factory=dict)  # sha256, dtype
     pictures: dict[str, str] = field(default_factory=dict)  # name -> path relative to the run folder
