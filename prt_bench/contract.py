@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from prt_bench.dataset import LightingDataset
+from prt_bench.errors import FitError
 from prt_bench.example import example_dataset
 from prt_bench.methods.base import Method
 
@@ -169,7 +170,7 @@ def ships(method: Method, ds: LightingDataset) -> str:
 
 
 def fit_gradient(method: Method, ds: LightingDataset) -> str:
-    """The prediction is differentiable in the training light, duplicates and black lightings included."""
+    """The prediction is differentiable in the training light, duplicates and black lightings included; or it says it is not."""
     train, test = ds.split("train"), ds.split("test")
     measured, indirect = (np.asarray(light, np.float64).copy() for light in (train.measured, train.indirect))
     measured[2], indirect[2] = measured[3], indirect[3]
@@ -185,6 +186,12 @@ def fit_gradient(method: Method, ds: LightingDataset) -> str:
             weight * method.fit(SimpleNamespace(**fixed, measured=measured, indirect=indirect)).predict(test)
         )
 
+    if not method.differentiable:
+        try:
+            jax.grad(loss)(jnp.asarray(measured), jnp.asarray(indirect))
+        except FitError as refusal:
+            return f"not offered, and refused: {refusal}"
+        raise BrokenContract("derivatives of the fit are declared as not offered, but one was returned")
     slopes = jax.grad(loss, argnums=(0, 1))(jnp.asarray(measured), jnp.asarray(indirect))
     _require(all(bool(jnp.all(jnp.isfinite(slope))) for slope in slopes), "the gradient has values that are not finite")
     return "finite"

@@ -16,7 +16,8 @@ class Method(ABC):
     """A transfer method. Subclasses are final frozen dataclasses whose fields are the settings, one file per method.
 
     `name` is what specs and tables call it, `summary` one line for lists, `citation` a BibTeX key or the equation it
-    comes from, `role` "method", "floor" or "ceiling", `learns` whether the fit looks at the training lightings at all.
+    comes from, `role` "method", "floor" or "ceiling", `learns` whether the fit looks at the training lightings at all,
+    `differentiable` whether it can be differentiated in them: where it cannot, it refuses light that is traced.
     Ranges of settings are checked in `__post_init__` with `require`.
     """
 
@@ -25,19 +26,24 @@ class Method(ABC):
     citation: ClassVar[str]
     role: ClassVar[str] = "method"
     learns: ClassVar[bool] = True
+    differentiable: ClassVar[bool] = True
 
     @abstractmethod
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> Model:
         """Fit to the lightings of `ds` (its training split) in float64. `key` seeds methods that draw random numbers.
 
-        Differentiable in the arrays of `ds` (pass an object whose `measured` and `indirect` are traced).
+        Differentiable in the arrays of `ds` (pass an object whose `measured` and `indirect` are traced), or else such an
+        object raises `FitError`.
         """
 
     @property
     def label(self) -> str:
-        """The name with the settings that tell rows of one table apart: the basis size, and whatever is not default."""
+        """The name with the settings that tell rows of one table apart: the basis size, and whatever is not default.
+
+        Settings without a say in the result, `field(compare=False)`, are left out.
+        """
         told = [self.name]
-        for setting in fields(self):
+        for setting in (each for each in fields(self) if each.compare):
             value = getattr(self, setting.name)
             if setting.name == "basis":
                 told.append(f"b{value}")
