@@ -11,6 +11,7 @@ from prt_bench.errors import FitError, SpecError
 from prt_bench.stability import board, exact
 from prt_bench.stability.cases import cases
 from prt_bench.stability.cell import Case, Kind, Measured, Member, Outcome, run_cell
+from prt_bench.stability.mutants import kills, mutants
 from prt_bench.stability.nist import regressions
 from prt_bench.stability.rigs import BASIS, settings, subjects
 from prt_bench.stability.routes import BF16, F16, F32, F64
@@ -124,3 +125,12 @@ def test_a_missed_goal_is_the_exit_status(monkeypatch, tmp_path):
 def test_an_output_that_cannot_be_written_is_refused_before_the_work(capsys):
     assert main(["stability", "--out", "/nowhere/at/all.json"]) == 2
     assert "is not a folder" in capsys.readouterr().err
+
+
+def test_cells_and_mutants_are_the_same_in_other_processes():
+    chosen = board.selected(["A1b"])
+    assert board.run(chosen, ["f64"], progress=False, jobs=2) == board.run(chosen, ["f64"], progress=False)
+    naive = [each for each in mutants() if each.name in ("gaps unseen", "norm of unscaled squares")]
+    assert kills(naive, progress=False, jobs=2) == kills(naive, progress=False)
+    with pytest.raises(SpecError, match="at least 1 job"):
+        board.run(chosen, progress=False, jobs=0)
