@@ -50,7 +50,7 @@ class MlpCoefficients(Method):
 
     def __post_init__(self) -> None:
         self.require(self.basis >= 1, "basis", "at least 1")
-        self.require(1 <= self.width <= 1024, "width", "from 1 to 1024")
+        self.require(1 <= self.width <= 512, "width", "from 1 to 512")
         self.require(1 <= self.depth <= 8, "depth", "from 1 to 8")
         self.require(self.epochs >= 1, "epochs", "at least 1")
         self.require(0 < self.rate < float("inf"), "rate", "a positive number")

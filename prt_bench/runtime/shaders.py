@@ -8,6 +8,7 @@ from pathlib import Path
 import moderngl
 
 from prt_bench.errors import RuntimeUnavailable
+from prt_bench.runtime import layers
 from prt_bench.runtime.generate import CODE
 
 VERSION = "#version 430 core"
@@ -30,8 +31,8 @@ def folder() -> Path:
 def source(name: str, defines: Defines | None = None) -> str:
     """One shader stage: version, defines, then the file with each include pasted once, where it is first named.
 
-    An include of "generated/NAME" pastes code that `generate` writes for the order that ORDER defines,
-    and nothing where no order is defined: what would use it is compiled out.
+    An include of "generated/NAME" pastes code that `generate` writes for the order that ORDER defines, or `layers` for the
+    shape that NETWORK defines, and nothing where neither is defined: what would use it is compiled out.
     """
     seen: set[str] = set()
 
@@ -40,6 +41,9 @@ def source(name: str, defines: Defines | None = None) -> str:
             return ""
         seen.add(file)
         if file.startswith(_GENERATED):
+            if (name := file.removeprefix(_GENERATED)) in layers.CODE:
+                shape = (defines or {}).get("NETWORK")
+                return "" if shape is None else layers.CODE[name](str(shape))
             order = (defines or {}).get("ORDER")
             return "" if order is None else CODE[file.removeprefix(_GENERATED)](int(order))
         return _INCLUDE.sub(lambda match: paste(match[1]), (folder() / file).read_text(encoding="utf-8"))

@@ -8,6 +8,7 @@ from prt_bench.assets import RuntimeAsset
 from prt_bench.errors import AssetError
 from prt_bench.runtime import shaders
 from prt_bench.runtime.measure import MeasurePass
+from prt_bench.runtime.network import NetworkPass
 
 _LINEAR_WORKGROUP = 64
 _NEAREST_WORKGROUP = 256
@@ -25,7 +26,7 @@ class TransferPass:
         self.kernel = asset.kernels["transfer"].removeprefix("gamma-")
         self.basis = asset.arrays["basis"].shape[-1]
         gamma = asset.arrays.get("gamma")
-        if self.kernel in ("linear", "coupled"):
+        if self.kernel in ("linear", "coupled", "residual"):
             weights = asset.arrays["weights"]
             file, workgroup, self._workgroups = "linear.comp", _LINEAR_WORKGROUP, self.basis
             self.slots = 4 * -(-self.basis // 4) + (gamma is not None)
@@ -57,11 +58,12 @@ class TransferPass:
         self.coefficients.clear()
         sizes = {"MEASUREMENTS": measurements, "BASIS": self.basis, "WORKGROUP": workgroup, **extra, **self.defines}
         self._program = shaders.compute(context, file, sizes)
+        self._network = NetworkPass(context, asset, measure) if self.kernel == "residual" else None
 
     @property
     def bytes(self) -> int:
         """GPU memory of weights and coefficients."""
-        return self._weights.size + self.coefficients.size
+        return self._weights.size + self.coefficients.size + (self._network.bytes if self._network else 0)
 
     def run(self) -> None:
         """Coefficients of whatever was measured last."""
@@ -70,6 +72,8 @@ class TransferPass:
         self.coefficients.bind_to_storage_buffer(5)
         self._program.run(self._workgroups)
         self._context.memory_barrier()
+        if self._network:
+            self._network.run(self.coefficients)
 
     def read(self) -> Float[np.ndarray, "B C"]:
         """The coefficients as the model's `transfer` gives them."""
