@@ -2,10 +2,13 @@
 
 Prints the arithmetic of each way, the milliseconds of their draw passes in interleaved rounds, and how far glossy radiance is
 from a path tracer's, by exponent and order: direct light through the lobe at points the camera sees, root mean square over
-points and channels relative to that of the reference; K × K is Sloan's matrix in every texel. The picture shows frames by
-exponent beside the reference's.
+points and channels relative to that of the reference; K × K is Sloan's matrix in every texel. A last table has the
+inter-reflections of fixed light: how far all that points reflect is from the path tracer's light of all bounces. The picture
+shows frames by exponent beside the reference's.
 
-    python experiments/triple_products.py [--scenes room objects plants] [--data DIR] [--paths 256]
+    python experiments/triple_products.py [--scenes room objects plants] [--data DIR] [--paths 256] [--size 1920 1080]
+
+Frames larger than 640 × 480 leave the dense product out, which takes 60 times as long as the generated one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +24,9 @@ from data_gen.glossy_reference import reference_radiance
 from data_gen.journal import data_folder
 from data_gen.reference_image import reference_image
 from data_gen.tracer import Tracer
-from prt_bench.glossy import TripleModel, mirrored
+from prt_bench.glossy import Surface, TripleModel, mirrored
+from prt_bench.methods.interreflection import fix_light
+from prt_bench.points import SurfacePoints
 from prt_bench.runtime.generate import operations
 from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.runtime.runtime import Runtime
@@ -32,8 +37,9 @@ from prt_bench.visibility import transfer_matrices
 EXPONENTS = (5.0, 20.0, 80.0, 320.0)
 ORDERS = (3, 5, 8)
 MATRIX = 5
+BOUNCES = (0, 1, 2, 3)
 POINTS = 300
-TIMED = (640, 480)
+TIMED = [640, 480]
 DRAWN = (240, 180)
 TRACED = f"path traced, exponent {EXPONENTS[2]:g}"
 _PAPER = {"room": "352 / 2433 to 84 / 568", "plants": "363 / 2598 to 6.7 / 168"}
@@ -41,15 +47,22 @@ _PAPER = {"room": "352 / 2433 to 84 / 568", "plants": "363 / 2598 to 6.7 / 168"}
 
 def main() -> None:
     settings = arguments(
-        __doc__, "triple_products.webp", scenes=["room", "objects", "plants"], texels=128, paths=256, rounds=7
+        __doc__,
+        "triple_products.webp",
+        scenes=["room", "objects", "plants"],
+        texels=128,
+        paths=256,
+        rounds=7,
+        size=TIMED,
     ).parse_args()
-    costs, errors, pictures = [], [], []
+    costs, errors, lit, pictures = [], [], [], []
     for name in settings.scenes:
         scene = prt.load_scene(name)
         ds = prt.bake(scene, "environment", 4, settings.texels, 256, seed=0, out=settings.data or data_folder())
         test = ds.split("test")
-        costs += list(cost(ds, test.lightings[0], settings.rounds))
+        costs += list(cost(ds, test.lightings[0], settings.rounds, tuple(settings.size)))
         errors += list(accuracy(ds, test.lightings[:4], settings.paths))
+        lit += list(reflections(ds, test.lightings[:4], settings.paths))
         pictures.append(picture(ds, test.lightings[0], settings.paths))
     table(("order", "dense", "generated", "share"), [(o, *_counts(o)) for o in (2, 3, 4, 5, 6)])
     print()
@@ -57,6 +70,8 @@ def main() -> None:
     print("\npaper, frames per second at 1080p on an RTX 3090, TP / TPFL, vertices to texture:", _PAPER)
     print()
     table(("scene", "exponent", *(f"order {o}" for o in ORDERS), f"K × K, order {MATRIX}", "reference's noise"), errors)
+    print()
+    table(("scene", *(f"{count} bounces" for count in BOUNCES)), lit)
     draw(settings.out, pictures, lambda title: TRACED)
 
 
@@ -79,10 +94,12 @@ def coated(scene: Scene, exponent: float) -> Scene:
     return replace(scene, materials=tuple(materials))
 
 
-def cost(ds: prt.LightingDataset, lighting: prt.Lighting, rounds: int) -> Iterator[Sequence[object]]:
+def cost(
+    ds: prt.LightingDataset, lighting: prt.Lighting, rounds: int, size: tuple[int, int]
+) -> Iterator[Sequence[object]]:
     """Draw passes of all ways on one runtime, in interleaved rounds; every pixel has a lobe."""
     coat = shiny(ds, EXPONENTS[1])
-    runtime = Runtime(coat, TIMED)
+    runtime = Runtime(coat, size)
     with TemporaryDirectory() as folder:
         free, fixed = (
             prt.method(name).fit(coat).export(f"{folder}/{name}") for name in ("sh-triple", "sh-triple-fixed")
@@ -91,9 +108,10 @@ def cost(ds: prt.LightingDataset, lighting: prt.Lighting, rounds: int) -> Iterat
         ways = {
             "diffuse alone": runtime.load(diffuse),
             "generated": runtime.load(free),
-            "dense": GlossyAsset(runtime, free, dense=True),
             "light fixed": runtime.load(fixed),
         }
+        if np.prod(size) <= np.prod(TIMED):
+            ways["dense"] = GlossyAsset(runtime, free, dense=True)
         timings = {way: found[0].stages for way, found in time_assets(ways, lighting, rounds).items()}
     base = timings["generated"]["draw"].median
     for way, stages in timings.items():
@@ -131,6 +149,34 @@ def accuracy(ds: prt.LightingDataset, lightings: Sequence[prt.Lighting], paths: 
             )
         )
         yield ds.scene.name, exponent, *row, float(np.linalg.norm(noise) / size)
+
+
+def reflections(ds: prt.LightingDataset, lightings: Sequence[prt.Lighting], paths: int) -> Iterator[Sequence[object]]:
+    """Relative error of what points reflect towards the camera, by bounces, of a scene whose materials all have a lobe."""
+    eye = np.asarray(ds.scene.camera.position, float)
+    place = seen(ds, eye)
+    coat = shiny(ds, EXPONENTS[1])
+    points = dulled(ds.points[place])
+    towards = eye - points.position
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    surface = Surface(points.normal, points.albedo, *coat.scene.glossy_at(points.face, points.barycentric))
+    coat = replace(coat, transport=replace(coat.transport, samples=dulled(ds.transport.samples)))
+    wanted = np.stack([reference_radiance(coat.scene, each, points, towards, paths).mean for each in lightings])
+    row = []
+    for bounces in BOUNCES:
+        found = []
+        for index, lighting in enumerate(lightings):
+            model = fix_light(coat, lighting, 5, max(bounces, 1))
+            basis = model.basis[place] if bounces else model.basis[place].at[:, 1:].set(0.0)
+            u = model.measure(prt.light(ds, lightings))[index : index + 1]
+            found.append(np.asarray(type(model)(basis, model.centre).radiance(u, surface, towards))[0])
+        row.append(float(np.linalg.norm(np.stack(found) - wanted) / np.linalg.norm(wanted)))
+    yield ds.scene.name, *row
+
+
+def dulled(points: SurfacePoints) -> SurfacePoints:
+    """With the albedo that is left under the lobe of `coated`."""
+    return replace(points, albedo=0.7 * points.albedo)
 
 
 def matrices_at(ds: prt.LightingDataset, place: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from prt_bench.errors import FitError
 from prt_bench.harmonic import HarmonicModel
 from prt_bench.spherical import bands, evaluate, phong_lobe, product, product_matrix
 
@@ -83,3 +84,39 @@ class FixedTripleModel(TripleModel):
         matrices = product_matrix(jnp.moveaxis(u, 1, 2))
         pair = self.basis[:, -1], self.lobe(mirror, exponent)
         return jnp.einsum("ti,ncik,tk->ntc", pair[0], matrices, pair[1], precision="highest")
+
+
+class BouncedTripleModel(TripleModel):
+    """Direct light of any lighting, and inter-reflections of one that is fixed: basis [T, 1 + C, K].
+
+    The first vector is the direct one. The others are coefficients of the radiance that surfaces send, times the cosine, in
+    W/m²/sr for each channel: they hold light already, so neither light nor materials of the scene may change. Lobes read
+    them off as they read the product of light and transfer, and their first coefficient is irradiance.
+    """
+
+    kernels: ClassVar[dict[str, str]] = {**HarmonicModel.kernels, "reconstruct": "triple-bounced"}
+
+    @property
+    def diffuse(self) -> HarmonicModel:
+        """The vectors of direct light."""
+        return HarmonicModel(self.basis[:, :1], self.centre)
+
+    def reconstruct(self, u: Float[Array, "N K C"]) -> Float[Array, "N T C"]:
+        """Irradiance of direct light under `u`, and of what is sent under the fixed light."""
+        return self.diffuse.reconstruct(u) + jnp.sqrt(4.0 * jnp.pi) * self._sent(u)[:, :, 0]
+
+    def gloss(
+        self, u: Float[Array, "N K C"], mirror: Float[Array, "T 3"], exponent: Float[Array, " T"]
+    ) -> Float[Array, "N T C"]:
+        """As `TripleModel`, and what the lobes reflect of surfaces."""
+        lobe = self.lobe(mirror, exponent)
+        q = product(self.basis[:, 0], lobe)
+        direct = jnp.einsum("tk,nkc->ntc", q, u, precision="highest")
+        return direct + jnp.einsum("tk,tck->tc", lobe, self._sent(u), precision="highest")
+
+    def _sent(self, u: Float[Array, "N K C"]) -> Float[Array, "T C K"]:
+        if self.basis.shape[1] != 1 + u.shape[2]:
+            raise FitError(
+                f"the model holds light in {self.basis.shape[1] - 1} channels, but the light has {u.shape[2]}"
+            )
+        return self.basis[:, 1:]

@@ -1,5 +1,5 @@
 // What a Phong lobe about the mirror direction reflects of direct light, W/m²/sr, from the K numbers of a texel; the same as
-// prt_bench/glossy.py. FIXED reads the light's matrices, otherwise the triple product is taken here (DENSE: by its whole tensor).
+// prt_bench/glossy.py. BOUNCED adds what it reflects of surfaces under fixed light, from K numbers for each channel. FIXED reads the light's matrices, otherwise the triple product is taken here (DENSE: by its whole tensor).
 #include "generated/harmonics"
 #include "generated/lobe"
 #if defined(FIXED)
@@ -8,6 +8,19 @@
 #include "generated/dense_product"
 #else
 #include "generated/product"
+#endif
+
+#ifdef BOUNCED
+vec3 gloss_of_surfaces(vec2 uv, float lobe_at[HARMONICS]) {
+    float padded[4 * LAYERS];
+    for (int k = 0; k < 4 * LAYERS; ++k) padded[k] = k < HARMONICS ? lobe_at[k] : 0.0;
+    vec3 sum = vec3(0.0);
+    for (int layer = 0; layer < LAYERS; ++layer) {
+        vec4 four = vec4(padded[4 * layer], padded[4 * layer + 1], padded[4 * layer + 2], padded[4 * layer + 3]);
+        for (int c = 0; c < 3; ++c) sum[c] += dot(four, textureLod(basis, vec3(uv, BOUNCED + c * LAYERS + layer), 0.0));
+    }
+    return sum;
+}
 #endif
 
 vec3 gloss(vec2 uv, vec3 mirror, float exponent) {
@@ -30,6 +43,9 @@ vec3 gloss(vec2 uv, vec3 mirror, float exponent) {
     product(visible, lobe_at, q);
     vec3 sum = vec3(0.0);
     for (int k = 0; k < HARMONICS; ++k) sum += coefficients[k].rgb * q[k];
+#ifdef BOUNCED
+    sum += gloss_of_surfaces(uv, lobe_at);
+#endif
     return sum;
 #endif
 }

@@ -5,6 +5,7 @@
 // RECONSTRUCT_SELECT   one stored column per channel, scaled
 // RECONSTRUCT_LIGHTMAP the texture itself
 // RECONSTRUCT_VERTICES what was found at the vertices, interpolated by the rasteriser
+// BOUNCED adds what surfaces send under fixed light: for each channel, harmonics in layers from this one on.
 // GAMMA takes the sum back along the curve, times the size in the last coefficient.
 #ifdef GAMMA
 #include "gamma.glsl"
@@ -28,6 +29,10 @@ vec3 reconstruction(vec2 uv) {
         mat4x3 block = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
         sum += block * textureLod(basis, vec3(uv, layer), 0.0);
     }
+#ifdef BOUNCED
+    const float sqrt_4pi = 3.5449077018110318;
+    for (int c = 0; c < 3; ++c) sum[c] += sqrt_4pi * textureLod(basis, vec3(uv, BOUNCED + c * LAYERS), 0.0).x;
+#endif
     return sum;
 #elif defined(RECONSTRUCT_COUPLED)
     vec3 sum = vec3(0.0);

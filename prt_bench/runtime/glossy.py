@@ -6,11 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from prt_bench.assets import RuntimeAsset
+from prt_bench.errors import AssetError
 from prt_bench.runtime import shaders
 from prt_bench.runtime.context import check
 from prt_bench.runtime.generate import matrix_entries, pairs
 from prt_bench.runtime.harmonics import ProjectedAsset, diffuse_kernel
 from prt_bench.runtime.indirect import BasisTexture, channels_apart
+from prt_bench.runtime.transfer import CHANNELS
 from prt_bench.spherical import order_of, triple_products
 
 if TYPE_CHECKING:
@@ -22,20 +24,24 @@ _WORKGROUP = 64
 class GlossyAsset(ProjectedAsset):
     """Transfer vectors of diffuse light, then those of the lobes, in one texture array.
 
-    With the light fixed the transfer pass makes its matrices. `dense` takes the triple product by the whole tensor instead
-    of the generated code, to be compared with it. Scenes without a glossy material compile no lobe in.
+    With inter-reflections of fixed light those come last, a vector for each channel. With the light fixed the transfer
+    pass makes its matrices. `dense` takes the triple product by the whole tensor instead of the generated code, to be
+    compared with it. Scenes without a glossy material compile no lobe in.
     """
 
     def __init__(self, runtime: "Runtime", asset: RuntimeAsset, dense: bool = False) -> None:
         basis = asset.arrays["basis"]
-        layers, channels = -(-basis.shape[2] // 4), max(basis.shape[1] - 1, 1)
         order, fixed = order_of(basis.shape[2]), asset.kernels["reconstruct"] == "triple-fixed"
-        kernel = {diffuse_kernel(channels): 1, "LAYERS": layers}
+        bounced = asset.kernels["reconstruct"] == "triple-bounced"
+        if bounced and basis.shape[1] != 1 + CHANNELS:
+            raise AssetError(f"{asset.path} holds light in {basis.shape[1] - 1} channels; this runtime has {CHANNELS}")
+        layers, channels = -(-basis.shape[2] // 4), 1 if bounced else max(basis.shape[1] - 1, 1)
+        kernel = {diffuse_kernel(channels): 1, "LAYERS": layers, **({"BOUNCED": layers} if bounced else {})}
         self._lobe = {
             "GLOSSY": 1,
             "ORDER": order,
             "HARMONICS": basis.shape[2],
-            "VISIBLE": (basis.shape[1] - 1) * layers,
+            "VISIBLE": 0 if bounced else (basis.shape[1] - 1) * layers,
             **({"FIXED": 1} if fixed else {}),
             **({"DENSE": 1} if dense else {}),
         }
@@ -52,7 +58,7 @@ class GlossyAsset(ProjectedAsset):
     @staticmethod
     def runs(asset: RuntimeAsset) -> bool:
         """Harmonics, and transfer vectors for lobes."""
-        return asset.kernels["measure"] == "harmonics" and asset.kernels["reconstruct"] in ("triple", "triple-fixed")
+        return asset.kernels["measure"] == "harmonics" and asset.kernels["reconstruct"].startswith("triple")
 
     def transfer(self) -> None:
         """The light's matrices where it is fixed; else nothing."""

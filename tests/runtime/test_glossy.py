@@ -8,6 +8,7 @@ import pytest
 
 import prt_bench as prt
 from prt_bench.example import example_dataset
+from prt_bench.methods.interreflection import fix_light
 from prt_bench.runtime import Runtime
 from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.scene import Glossy
@@ -117,3 +118,22 @@ def test_a_diffuse_scene_compiles_no_lobe(tmp_path):
     assert "GLOSSY" not in loaded._kernel
     plain = window.load(prt.method("sh-texture").fit(ds).export(tmp_path / "plain"))
     np.testing.assert_array_equal(window.frame(LIGHTING, loaded), window.frame(LIGHTING, plain))
+
+
+@pytest.mark.parametrize("order", [2, 5])
+def test_inter_reflections_of_fixed_light_agree_with_the_model(order, room, window, tmp_path):
+    """At the receivers, diffuse and by lobes; and a frame shows more of them than of direct light alone."""
+    model = fix_light(room, LIGHTING, order)
+    asset = model.export(tmp_path / "asset")
+    loaded, model = window.load(asset), asset.model()
+    x = np.asarray(model.measure(Observed(LIGHTING)), np.float32)[0]
+    mirror = np.random.default_rng(0).normal(size=(len(room.points), 3))
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    exponent = np.full(len(mirror), 12.0)
+    wanted = model.gloss(x[None], jnp.asarray(mirror, jnp.float32), jnp.asarray(exponent, jnp.float32))[0]
+    assert relative(loaded.gloss(x, mirror, exponent), wanted) < 2e-6
+    assert relative(loaded.predict(x), np.asarray(model.reconstruct(x[None]))[0]) < 2e-6
+    alone = prt.method("sh-triple", order=order, interreflection=False).fit(room).export(tmp_path / "alone")
+    added = window.frame(LIGHTING, loaded) - window.frame(LIGHTING, window.load(alone))
+    assert added.min() > -1e-5
+    assert added.mean() > 0.01
