@@ -2,8 +2,9 @@
 
 The reflection is that of `prt_bench.scene.Glossy`. A vertex of a path samples every light and one direction, cosine or lobe
 by turns, and weighs the two against each other, so that neither sharp lobes nor small lights leave rare bright samples
-(balance heuristic: Veach and Guibas 1995, "Optimally Combining Sampling Techniques for Monte Carlo Rendering"). Normal
-images are not read. Diffuse irradiance is in `reference.py`, pictures are in `reference_image.py`.
+(balance heuristic: Veach and Guibas 1995, "Optimally Combining Sampling Techniques for Monte Carlo Rendering"). Normal images
+tilt the normals; a face hides what lies below itself, as in the bake. Diffuse irradiance is in `reference.py`, pictures are in
+`reference_image.py`.
 """
 
 from functools import singledispatch
@@ -46,21 +47,24 @@ def reference_radiance(
     """Radiance that P points reflect along unit directions `towards_eye`, after direct light and up to `bounces` more.
 
     With `bounces` 0 it is that of direct light, with None all, by Russian roulette. `paths` start at each point; the result
-    is unbiased and does not depend on the number of workers. A point is black towards directions behind its normal.
+    is unbiased and does not depend on the number of workers. A point is black towards directions behind its face.
     With `diffuse_between`, surfaces that light meets on its way to the points reflect it diffusely only, as a diffuse
     lightmap stores it: the lobe of the last reflection is then the only one.
     """
     follow = _GlossyPaths(scene, lighting, diffuse_between)
     specular, exponent = scene.glossy_at(points.face, points.barycentric)
-    start = _Vertex(points.position, points.normal, np.asarray(towards_eye, float), points.albedo, specular, exponent)
+    eye = np.asarray(towards_eye, float)
+    start = _Vertex(points.position, points.normal, _flat(scene, points), eye, points.albedo, specular, exponent)
     return average(lambda rng, at: follow.radiance(rng, start.of(at), bounces), len(points), paths, seed, workers)
 
 
 class _Vertex(NamedTuple):
-    """n vertices of paths: where, facing normal, unit direction towards the viewer, and what the surface reflects."""
+    """n vertices of paths: where, facing normals of the surface and of its face, unit direction towards the viewer, and what
+    the surface reflects."""
 
     position: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
+    flat: Float[np.ndarray, "n 3"]
     eye: Float[np.ndarray, "n 3"]
     albedo: Float[np.ndarray, "n 3"]
     specular: Float[np.ndarray, "n 3"]
@@ -82,9 +86,10 @@ class _Vertex(NamedTuple):
     def reflect(self, direction: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
         """Reflectance times cosine for light from unit directions, and the density with which `sample` draws those."""
         cosine = np.maximum(np.einsum("nd,nd->n", direction, self.normal), 0.0)
+        open_to = np.einsum("nd,nd->n", direction, self.flat) > 0
         aligned = np.einsum("nd,nd->n", direction, self.mirror)
         lobe = np.where(aligned > 0, np.maximum(aligned, 0.0) ** self.exponent, 0.0) * (self.exponent + 1) / (2 * np.pi)
-        value = (self.albedo / np.pi + self.specular * lobe[:, None]) * cosine[:, None]
+        value = (self.albedo / np.pi + self.specular * lobe[:, None]) * (cosine * open_to)[:, None]
         share = self.lobe_share
         return value, share * lobe + (1.0 - share) * cosine / np.pi
 
@@ -110,10 +115,10 @@ class _GlossyPaths:
     def radiance(self, rng: Generator, start: _Vertex, bounces: int | None) -> Float[np.ndarray, "n 3"]:
         """One path from each start."""
         total = np.zeros(start.position.shape)
-        alive = np.flatnonzero(np.einsum("nd,nd->n", start.normal, start.eye) > 0)
+        alive = np.flatnonzero(np.einsum("nd,nd->n", start.flat, start.eye) > 0)
         vertex, weight, bounce = start.of(alive), np.ones((len(alive), 3)), 0
         while len(alive):
-            origin = vertex.position + self.epsilon * vertex.normal
+            origin = vertex.position + self.epsilon * vertex.flat
             total[alive] += weight * self._lights_sampled(rng, vertex, origin)
             if bounce == bounces and not self.extended:
                 break
@@ -138,7 +143,8 @@ class _GlossyPaths:
             specular, exponent = self.scene.glossy_at(points.face, points.barycentric)
             if self.diffuse_between:
                 specular, exponent = np.zeros_like(specular), np.zeros_like(exponent)
-            vertex = _Vertex(points.position, points.normal, -direction[met], points.albedo, specular, exponent)
+            flat, eye = _flat(self.scene, points), -direction[met]
+            vertex = _Vertex(points.position, points.normal, flat, eye, points.albedo, specular, exponent)
             if bounces is None and bounce >= ROULETTE_FROM:
                 survival = np.minimum((weight * (points.albedo + specular)).max(axis=1), 0.95)
                 kept = rng.random(len(alive)) < survival
@@ -169,12 +175,18 @@ def reflecting(scene: Scene, hits: Hits, at: Int[np.ndarray, " n"]) -> Bool[np.n
 
 
 def surface_met(scene: Scene, hits: Hits, at: Int[np.ndarray, " n"]) -> SurfacePoints:
-    """The points that rays met, with normals that face the rays."""
+    """The points that rays met, with normals of the side that was met."""
     face, u, v = hits.face[at], hits.u[at].astype(float), hits.v[at].astype(float)
     barycentric = np.stack([1.0 - u - v, u, v], axis=1)
     position = np.einsum("nc,ncd->nd", barycentric, scene.mesh.triangles[face])
-    facing = np.where(hits.front[at], 1.0, -1.0)[:, None] * scene.mesh.normals[face]
+    facing = np.where(hits.front[at], 1.0, -1.0)[:, None] * scene.shading_normal_at(face, barycentric)
     return SurfacePoints(position, facing, scene.albedo_at(face, barycentric), face, barycentric)
+
+
+def _flat(scene: Scene, points: SurfacePoints) -> Float[np.ndarray, "P 3"]:
+    """Normals of the points' faces, on the side of the points' own."""
+    flat = scene.mesh.normals[points.face]
+    return np.where(np.einsum("pd,pd->p", flat, points.normal)[:, None] < 0, -flat, flat)
 
 
 class _Arriving(NamedTuple):

@@ -64,10 +64,16 @@ def direct_irradiance(
     samples: int = 2,
     seed: int = 0,
     workers: int | None = None,
+    flat: Float[np.ndarray, "P 3"] | None = None,
 ) -> Estimate:
-    """Irradiance straight from the lights; without area and environment lights two samples are exact."""
-    paths = _Paths(scene, lighting)
-    return average(lambda rng, at: paths.direct(rng, position[at], normal[at]), len(position), samples, seed, workers)
+    """Irradiance straight from the lights; without area and environment lights two samples are exact.
+
+    `flat` are the normals of the points' faces where `normal` is tilted against them: nothing arrives from below.
+    """
+    paths, flat = _Paths(scene, lighting), normal if flat is None else flat
+    return average(
+        lambda rng, at: paths.direct(rng, position[at], normal[at], flat[at]), len(position), samples, seed, workers
+    )
 
 
 def indirect_irradiance(
@@ -79,14 +85,20 @@ def indirect_irradiance(
     bounces: int | None = None,
     seed: int = 0,
     workers: int | None = None,
+    flat: Float[np.ndarray, "P 3"] | None = None,
 ) -> Estimate:
     """Irradiance after at least one and at most `bounces` diffuse reflections (None: all, by Russian roulette).
 
-    `paths` start at each point; the result is unbiased and does not depend on the number of workers.
+    `paths` start at each point; the result is unbiased and does not depend on the number of workers. Normal images tilt
+    the normals on the way; `flat` is that of `direct_irradiance`.
     """
-    follow = _Paths(scene, lighting)
+    follow, flat = _Paths(scene, lighting), normal if flat is None else flat
     return average(
-        lambda rng, at: follow.indirect(rng, position[at], normal[at], bounces), len(position), paths, seed, workers
+        lambda rng, at: follow.indirect(rng, position[at], normal[at], flat[at], bounces),
+        len(position),
+        paths,
+        seed,
+        workers,
     )
 
 
@@ -131,14 +143,17 @@ class _Paths:
         self.two_sided = np.array([material.two_sided for material in scene.materials])[scene.mesh.material]
         self.epsilon = OFFSET * (scene.extent + float(np.abs(scene.bounds).max()))
 
-    def direct(self, rng: Generator, position: np.ndarray, normal: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    def direct(
+        self, rng: Generator, position: np.ndarray, normal: np.ndarray, flat: np.ndarray
+    ) -> Float[np.ndarray, "n 3"]:
         """One sample of every light, with a shadow ray each."""
-        origin = position + self.epsilon * normal
+        origin = position + self.epsilon * flat
         irradiance = np.zeros(position.shape)
         for light in self.lights:
             arrival = sample_light(light, origin, rng)
             incidence = np.maximum(np.einsum("nd,nd->n", arrival.direction, normal), 0.0)
-            value = arrival.strength * incidence[:, None]
+            above = np.einsum("nd,nd->n", arrival.direction, flat) > 0
+            value = arrival.strength * (incidence * above)[:, None]
             lit = np.flatnonzero(value.any(axis=1))
             reach = np.minimum(arrival.distance[lit], 4.0 * self.scene.extent)
             shadowed = self.tracer.occluded(origin[lit], arrival.direction[lit] * reach[:, None])
@@ -146,7 +161,7 @@ class _Paths:
         return irradiance
 
     def indirect(
-        self, rng: Generator, position: np.ndarray, normal: np.ndarray, bounces: int | None
+        self, rng: Generator, position: np.ndarray, normal: np.ndarray, flat: np.ndarray, bounces: int | None
     ) -> Float[np.ndarray, "n 3"]:
         """One path per point.
 
@@ -158,27 +173,31 @@ class _Paths:
         bounce = 0
         while len(alive) and bounce != bounces:
             bounce += 1
-            met, position, normal, albedo = self._next_surface(rng, position, normal)
+            met, position, normal, flat, albedo = self._next_surface(rng, position, normal, flat)
             alive, weight = alive[met], weight[met] * albedo
-            irradiance[alive] += weight * self.direct(rng, position, normal)
+            irradiance[alive] += weight * self.direct(rng, position, normal, flat)
             if bounces is None and bounce >= ROULETTE_FROM:
                 survival = np.minimum(weight.max(axis=1), 0.95)
                 kept = rng.random(len(alive)) < survival
-                alive, position, normal = alive[kept], position[kept], normal[kept]
+                alive, position, normal, flat = alive[kept], position[kept], normal[kept], flat[kept]
                 weight = weight[kept] / survival[kept, None]
         return irradiance
 
-    def _next_surface(self, rng: Generator, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Indices of the rays that meet a reflecting surface, and position, facing normal and albedo there."""
+    def _next_surface(
+        self, rng: Generator, position: np.ndarray, normal: np.ndarray, flat: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Indices of the rays that meet a reflecting surface; position, both normals on the side met and albedo there."""
         direction = cosine_directions(rng, normal)
-        hits = self.tracer.intersect(position + self.epsilon * normal, direction)
-        met = np.flatnonzero((hits.face >= 0) & (hits.front | self.two_sided[hits.face]))
+        hits = self.tracer.intersect(position + self.epsilon * flat, direction)
+        leaves = np.einsum("nd,nd->n", direction, flat) > 0  # else its own face hides what it would meet
+        met = np.flatnonzero(leaves & (hits.face >= 0) & (hits.front | self.two_sided[hits.face]))
         face = hits.face[met]
         u, v = hits.u[met].astype(float), hits.v[met].astype(float)
         barycentric = np.stack([1.0 - u - v, u, v], axis=1)
         position = np.einsum("nc,ncd->nd", barycentric, self.scene.mesh.triangles[face])
-        facing = np.where(hits.front[met], 1.0, -1.0)[:, None] * self.scene.mesh.normals[face]
-        return met, position, facing, self.scene.albedo_at(face, barycentric)
+        side = np.where(hits.front[met], 1.0, -1.0)[:, None]
+        tilted, facing = side * self.scene.shading_normal_at(face, barycentric), side * self.scene.mesh.normals[face]
+        return met, position, tilted, facing, self.scene.albedo_at(face, barycentric)
 
 
 class _Arrival(NamedTuple):

@@ -22,7 +22,7 @@ class ShTriple(Method):
     """Diffuse light as `sh-texture`, and glossy reflection from the same K numbers per texel by the sparse triple product.
 
     Light, view and material may change at any time. `interreflection` stores transfer vectors with all diffuse bounces
-    beside the direct ones; lobes see direct light alone.
+    beside the direct ones; lobes see direct light alone (`interreflection.fix_light` has more, of one light).
     """
 
     name: ClassVar[str] = "sh-triple"
@@ -39,13 +39,10 @@ class ShTriple(Method):
 
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> TripleModel:
         """Collect the transfer vectors from the traced rays; needs the transport alone."""
-        return TripleModel(*triple_transfer(ds, self.order, self.window, self.interreflection))
+        return TripleModel(*self.vectors(ds))
 
-
-def triple_transfer(
-    ds: LightingDataset, order: int, window: Window, interreflection: bool
-) -> tuple[Float[Array, "T W K"], Float[Array, "3"]]:
-    """Basis and centre of a `TripleModel`."""
-    direct, indirect = windowed_transfer(ds.transport, fit_albedo(ds), order, window)
-    basis = jnp.concatenate([direct + indirect, direct], axis=1) if interreflection else direct
-    return basis, jnp.asarray(ds.transport.scene.bounds.mean(axis=0))
+    def vectors(self, ds: LightingDataset) -> tuple[Float[Array, "T W K"], Float[Array, "3"]]:
+        """Basis and centre of a `TripleModel`."""
+        direct, indirect = windowed_transfer(ds.transport, fit_albedo(ds), self.order, self.window)
+        basis = jnp.concatenate([direct + indirect, direct], axis=1) if self.interreflection else direct
+        return basis, jnp.asarray(ds.transport.scene.bounds.mean(axis=0))

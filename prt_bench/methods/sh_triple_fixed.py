@@ -7,27 +7,16 @@ import jax
 
 from prt_bench.dataset import LightingDataset
 from prt_bench.glossy import FixedTripleModel
-from prt_bench.methods.base import Method
-from prt_bench.methods.sh_texture import Window
-from prt_bench.methods.sh_triple import GREATEST, triple_transfer
+from prt_bench.methods.sh_triple import ShTriple
 
 
 @dataclass(frozen=True)
-class ShTripleFixed(Method):
+class ShTripleFixed(ShTriple):
     """As `sh-triple`, with the sum over the light taken once per frame; settings and values are the same."""
 
     name: ClassVar[str] = "sh-triple-fixed"
     summary: ClassVar[str] = "transfer textures with the light fixed: a matrix of the light in every pixel"
-    citation: ClassVar[str] = "ng2004triple, in textures"
-    learns: ClassVar[bool] = False
-
-    order: int = 5
-    window: Window = "none"
-    interreflection: bool = True
-
-    def __post_init__(self) -> None:
-        self.require(1 <= self.order <= GREATEST, "order", f"from 1 to {GREATEST}")
 
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> FixedTripleModel:
         """Collect the transfer vectors from the traced rays; needs the transport alone."""
-        return FixedTripleModel(*triple_transfer(ds, self.order, self.window, self.interreflection))
+        return FixedTripleModel(*self.vectors(ds))

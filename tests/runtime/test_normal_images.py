@@ -1,10 +1,16 @@
 """Normal images enter bake, transfer and frame alike: a tilted plane against closed forms and quadrature."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import prt_bench as prt
+from data_gen.atlas import surface_points
 from data_gen.geometry import assemble, quad
+from data_gen.glossy_reference import reference_radiance
+from data_gen.reference import direct_irradiance, indirect_irradiance
+from prt_bench.environment import EnvironmentMap
 from prt_bench.methods.escaping import transfer_vectors
 from prt_bench.runtime import Runtime
 from prt_bench.scene import Camera, Glossy, Material, Mesh, Scene
@@ -80,3 +86,41 @@ def test_lobes_mirror_about_the_tilted_normal(tmp_path):
         lighting = prt.Lighting([prt.DirectionalLight(-towards, (1.0, 1.0, 1.0))])
         peaks.append((window.frame(lighting, shiny) - window.frame(lighting, dull))[16, 16, 0])
     assert peaks[0] > 1.5 * peaks[1]
+
+
+def test_path_tracers_read_normal_images():
+    """Under an even sky: light over the plane's horizon, about the tilted normal; and in a corner with a tilted wall, what the
+    bake's rays gather of it. Normals left as they are would give π and another share of the sun."""
+    scene = plane(TILT)
+    directions, weight = quadrature(200)
+    wanted = np.sum(weight * np.maximum(directions @ world(TILT), 0.0) * (directions[:, 1] > 0))
+    sky = prt.Lighting([prt.EnvironmentLight(EnvironmentMap("even", np.ones((8, 16, 3), np.float32)))])
+    points = surface_points(scene, np.zeros(2, int), np.full((2, 3), 1 / 3))
+    flat = scene.mesh.normals[points.face]
+    found = direct_irradiance(scene, points.position, points.normal, sky, 200_000, flat=flat)
+    np.testing.assert_allclose(found.mean, wanted, rtol=0.01)
+    assert abs(wanted / np.pi - 1.0) > 0.02
+    up = np.tile([0.0, 1.0, 0.0], (2, 1))
+    seen = reference_radiance(scene, sky, points, up, 100_000, 1)
+    np.testing.assert_allclose(seen.mean, 0.4 / np.pi * wanted, rtol=0.01)
+
+
+def test_tilted_walls_send_what_the_bake_has(tmp_path):
+    """One bounce from a sunlit plane with a normal image onto a wall above its edge."""
+    flat_plane = plane(TILT)
+    wall = quad([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 1)
+    mesh = assemble([quad([(0, 0, 1), (1, 0, 1), (1, 0, 0), (0, 0, 0)], 0), wall])
+    corners = mesh.triangles
+    uv = np.stack([corners[..., 0], 1.0 - corners[..., 2]], axis=-1)
+    materials = (flat_plane.materials[0], Material("wall", (0.5, 0.5, 0.5)))
+    scene = Scene("corner", Mesh(mesh.vertices, mesh.faces, mesh.material, uv), materials, flat_plane.camera)
+    ds = prt.bake(scene, "directional", lightings=1, texels=32, rays=1024, measurements=8, out=tmp_path)
+    sun = prt.Lighting([prt.DirectionalLight((0.4, -1.0, -0.3), (3.0, 3.0, 3.0))])
+    lit = prt.light(ds, [sun])
+    chosen = np.flatnonzero((ds.scene.mesh.material[ds.points.face] == 1) & ~ds.transport.buried)[::9]
+    points = ds.points[chosen]
+    found = indirect_irradiance(scene, points.position, points.normal, sun, 2000).mean
+    assert np.linalg.norm(found[:, :1] - lit.indirect[0, chosen]) < 0.05 * np.linalg.norm(found[:, :1])
+    straight = replace(scene, materials=(replace(materials[0], normal_image=None), materials[1]))
+    other = indirect_irradiance(straight, points.position, points.normal, sun, 2000).mean
+    assert abs(found.sum() / other.sum() - 1.0) > 0.1
