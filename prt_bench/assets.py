@@ -20,6 +20,7 @@ from prt_bench.errors import AssetError
 from prt_bench.gamma import GammaCoupledModel, GammaLinearModel
 from prt_bench.glossy import BouncedTripleModel, FixedTripleModel, TripleModel
 from prt_bench.harmonic import HarmonicIndirectModel, HarmonicModel, VertexHarmonicModel
+from prt_bench.learned.fields import FieldModel
 from prt_bench.learned.models import ResidualModel
 from prt_bench.models import CoupledModel, LinearModel, Model, NearestModel
 
@@ -32,6 +33,7 @@ _MODELS: tuple[type[Model], ...] = (
     GammaCoupledModel,
     NearestModel,
     ResidualModel,
+    FieldModel,
     HarmonicModel,
     HarmonicIndirectModel,
     VertexHarmonicModel,
@@ -59,8 +61,9 @@ class RuntimeAsset:
 
     @property
     def bytes(self) -> dict[str, int]:
-        """Bytes of each stored array."""
-        return {name: array.nbytes for name, array in self.arrays.items()}
+        """Bytes of each stored array that a runtime needs."""
+        left_out = _model_class(self.kernels).compared
+        return {name: array.nbytes for name, array in self.arrays.items() if name not in left_out}
 
     @property
     def includes_direct(self) -> bool:

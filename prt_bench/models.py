@@ -40,6 +40,8 @@ class Model(eqx.Module):
     """
     narrow: ClassVar[tuple[str, ...]] = ("basis",)
     """Beginnings of the names of arrays that an asset stores in its own dtype; all others stay float32."""
+    compared: ClassVar[tuple[str, ...]] = ()
+    """Names of arrays that an asset holds for comparison with the reference alone, and whose bytes do not count."""
 
     @property
     def includes_direct(self) -> bool:

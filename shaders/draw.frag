@@ -54,6 +54,9 @@ void main() {
 #ifdef DIRECT
     irradiance += direct_irradiance(position, facing);
 #endif
+#ifdef RECONSTRUCT_FIELD
+    place_on_surface = Place(position, normal);
+#endif
 #ifdef INDIRECT
     irradiance += indirect_irradiance(lightmap_uv);
 #endif

@@ -5,6 +5,7 @@
 // RECONSTRUCT_SELECT   one stored column per channel, scaled
 // RECONSTRUCT_LIGHTMAP the texture itself
 // RECONSTRUCT_VERTICES what was found at the vertices, interpolated by the rasteriser
+// RECONSTRUCT_FIELD    Σ_b u_b φ_b, the functions from a network of the place on the surface
 // BOUNCED adds what surfaces send under fixed light: for each channel, harmonics in layers from this one on.
 // GAMMA takes the sum back along the curve, times the size in the last coefficient.
 #ifdef GAMMA
@@ -19,6 +20,10 @@ layout(binding = 1) uniform sampler2DArray basis;
 
 #if !defined(RECONSTRUCT_LIGHTMAP) && !defined(RECONSTRUCT_VERTICES)
 layout(std140, binding = 0) uniform Coefficients { vec4 coefficients[COEFFICIENTS]; };
+#endif
+
+#ifdef RECONSTRUCT_FIELD
+#include "field.glsl"
 #endif
 
 vec3 reconstruction(vec2 uv) {
@@ -62,6 +67,8 @@ vec3 reconstruction(vec2 uv) {
     return textureLod(basis, vec3(uv, 0.0), 0.0).rgb;
 #elif defined(RECONSTRUCT_VERTICES)
     return vertex_light;
+#elif defined(RECONSTRUCT_FIELD)
+    return field_light();
 #endif
 }
 

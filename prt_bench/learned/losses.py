@@ -14,17 +14,20 @@ def square(prediction: Float[Array, "*s"], target: Float[Array, "*s"]) -> Float[
 
 
 def relative_square(
-    prediction: Float[Array, "*s"], target: Float[Array, "*s"], size: float | Float[Array, ""] = 1.0
+    prediction: Float[Array, "*s k"], target: Float[Array, "*s k"], size: float | Float[Array, ""] = 1.0
 ) -> Float[Array, ""]:
-    """Mean of (p − t)² / max(t², p², f²) with f = `FLOOR` · `size`: an error of a tenth weighs the same in light and in shade.
+    """Mean of |p − t|² / max(|t|², |p|², f²) over vectors of k numbers, f = `FLOOR` · `size` · √k: a tenth weighs the same in
+    light and in shade.
 
     `size` is the root mean square of what the targets are drawn from. The denominator is held constant in the derivative
     (Lehtinen et al. 2018) and never falls below the floor, so neither a dark target nor a prediction of 0 divides by 0.
     """
-    floor = FLOOR * jnp.asarray(size, target.dtype)
+    k = target.shape[-1]
+    floor = FLOOR**2 * k * jnp.asarray(size, target.dtype) ** 2
     floor = jnp.where(floor > 0, floor, 1.0)  # nothing but darkness
-    largest = jnp.maximum(jnp.maximum(jnp.abs(target), jnp.abs(prediction)), floor)
-    return jnp.mean(((prediction - target) / jax.lax.stop_gradient(largest)) ** 2)
+    largest = jnp.maximum(jnp.sum(target**2, axis=-1), jnp.sum(prediction**2, axis=-1))
+    largest = jax.lax.stop_gradient(jnp.maximum(largest, floor))
+    return jnp.mean(jnp.sum((prediction - target) ** 2, axis=-1) / largest)
 
 
 def power_of_two(size: float | Float[Array, "*s"]) -> Float[Array, "*s"]:

@@ -30,9 +30,14 @@ CURVES = ("training_steps", "training_loss", "validation_error")
 """What is told of every chunk."""
 
 
+_LEAST_STEPS = 10  # in a chunk: looking at what is held out costs as much as a few steps
+_WARM_UP = 20  # one over the share of the steps in which the rate rises
+
+
 @dataclass(frozen=True)
 class Schedule:
-    """`epochs` passes over the examples in batches of `batch`, at a `rate` that falls along a cosine.
+    """`epochs` passes over the examples in batches of `batch`, at a `rate` that rises for a twentieth of the steps
+    and falls along a cosine.
 
     After each of `chunks` equal parts the held-out lightings are looked at, and training stops when `patience` parts in a
     row have not lowered their error by a thousandth. Small sets of examples thus take few steps.
@@ -53,7 +58,7 @@ class Schedule:
         """Chunks, steps in each, and examples per batch, for a number of examples."""
         batch = min(self.batch, examples)
         steps = max(1, self.epochs * examples // batch)
-        chunks = min(self.chunks, steps)
+        chunks = max(1, min(self.chunks, steps // _LEAST_STEPS))
         return chunks, -(-steps // chunks), batch
 
 
@@ -127,7 +132,8 @@ def train(
 
 
 def _optimiser(rate: float, steps: int) -> optax.GradientTransformation:
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.01)))
+    rates = optax.warmup_cosine_decay_schedule(0.05 * rate, rate, steps // _WARM_UP, max(steps, 2), 0.01 * rate)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rates))
 
 
 @eqx.filter_jit

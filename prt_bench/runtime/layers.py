@@ -9,7 +9,7 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 def spelled(sizes: Sequence[int]) -> str:
@@ -75,5 +75,41 @@ def _indented(lines: Sequence[str]) -> str:
     return "".join(line + "\n" if line.startswith("#") else f"    {line}\n" for line in lines)
 
 
-CODE = {"network": network_code}
+@cache
+def field_code(shape: str) -> str:
+    """`void field(vec3 place, vec3 normal, out vec4 phi[])`: a block of loops per layer, for a fragment of its own.
+
+    Widths are those of inputs, layers and functions. `encode` fills the first layer's inputs. How often each loop turns is read
+    from `turns[]` (see `turns`): compilers that know it take minutes to unroll them.
+    """
+    layers = list(pairwise(map(int, shape.split("_"))))
+    most = max(_fours(width) for into, out in layers for width in (into, out))
+    lines = [f"vec4 a[{most}], b[{most}];", "encode(place, normal, a);"]
+    at, bias, source, target = 0, 0, "a", "b"
+    for number, (into, out) in enumerate(layers):
+        last = number == len(layers) - 1
+        result = "phi" if last else target
+        begin = "vec4(0.0)" if last else f"biases[{bias} + g]"
+        lines += [f"for (int g = 0; g < turns[{number}].y; ++g) {{", f"    vec4 sum = {begin};"]
+        lines += [f"    for (int i = 0; i < turns[{number}].x; ++i) {{"]
+        lines += [f"        uint w = uint({at} + {4 * _fours(out)} * i + 4 * g);", f"        vec4 v = {source}[i];"]
+        lines += [
+            "        sum += vec4(dot(four(w), v), dot(four(w + 1u), v), dot(four(w + 2u), v), dot(four(w + 3u), v));"
+        ]
+        lines += ["    }", f"    {result}[g] = {'sum' if last else 'squareplus(sum)'};", "}"]
+        at, bias, source, target = at + _fours(into) * 4 * _fours(out), bias + _fours(out), target, source
+    return f"void field(vec3 place, vec3 normal, out vec4 phi[{_fours(layers[-1][1])}]) {{\n{_indented(lines)}}}\n"
+
+
+def turns(sizes: Sequence[int]) -> Int[np.ndarray, "l 4"]:
+    """Blocks of four inputs and of four outputs of each layer, as `field_code` reads them."""
+    rows = [(_fours(into), _fours(out), 0, 0) for into, out in pairwise(sizes)]
+    return np.array(rows, "<i4")
+
+
+def _fours(width: int) -> int:
+    return -(-width // 4)
+
+
+CODE = {"network": network_code, "field": field_code}
 """What `#include "generated/NAME"` pastes, for the shape that NETWORK defines."""

@@ -11,7 +11,7 @@ from prt_bench.learned.losses import FLOOR, power_of_two, relative_square
 def test_a_relative_loss_weighs_a_tenth_the_same_in_light_and_in_shade():
     target = jnp.array([1.0, 0.2])
     for scale in (1.1, 0.9):
-        each = [float(relative_square(scale * t, t)) for t in target]
+        each = [float(relative_square(scale * t, t)) for t in target[:, None]]
         assert each[0] == pytest.approx(each[1], rel=1e-6)
     np.testing.assert_allclose(relative_square(jnp.array([0.5]), jnp.array([1.0])), 0.25, rtol=1e-6)
     np.testing.assert_allclose(relative_square(jnp.array([0.01]), jnp.array([0.0])), 0.01**2 / FLOOR**2, rtol=1e-6)
@@ -20,7 +20,7 @@ def test_a_relative_loss_weighs_a_tenth_the_same_in_light_and_in_shade():
 def test_the_denominator_is_constant_in_the_derivative():
     """∂/∂p of (p − t)² / m² with m held: 2 (p − t) / m²."""
     p, t = 0.7, 0.3
-    slope = jax.grad(lambda p: relative_square(p, jnp.asarray(t)))(p)
+    slope = jax.grad(lambda p: relative_square(p[None], jnp.array([t])))(jnp.asarray(p))
     assert float(slope) == pytest.approx(2 * (p - t) / p**2, rel=1e-6)
 
 

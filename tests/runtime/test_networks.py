@@ -4,8 +4,10 @@ import jax
 import numpy as np
 import pytest
 
+from prt_bench.learned.fields import LEVELS, Field, FieldModel
 from prt_bench.learned.models import ResidualModel
 from prt_bench.learned.networks import Network
+from prt_bench.lights import Lighting, PointLight
 from prt_bench.runtime.layers import blocks, network_code
 
 from .conftest import linear_model
@@ -84,3 +86,45 @@ def test_every_layer_has_code_of_its_own():
     assert "o < 32u" in code
     assert "o < 8u" in code
     assert "o < 4u" in code
+
+
+def field_model(ds, encoding, functions, width, depth, seed=0):
+    keys = jax.random.split(jax.random.key(seed), 3)
+    points, mesh = ds.points, ds.scene.mesh
+    box = np.append(points.position.mean(axis=0), 1.0 / np.ptp(points.position, axis=0).max())
+    field = Field.random(keys[0], encoding, box, width, depth, functions)
+    biases = tuple(0.3 * jax.random.normal(keys[1], bias.shape) for bias in field.network.biases)
+    grids = tuple(10.0 * grid for grid in field.grids)
+    head = jax.random.normal(keys[2], field.head.shape)
+    field = Field(Network(field.network.matrices, biases), head, box, grids, field.octaves)
+    normal = mesh.normals[points.face]
+    return FieldModel(field, linear_model(ds, functions, 3).weights, points.position, normal)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+@pytest.mark.parametrize(
+    ("encoding", "functions", "width", "depth"),
+    [("none", 5, 7, 1), ("frequency", 16, 32, 2), ("grid", 6, 16, 2)],
+)
+def test_fields_are_those_of_the_model(dtype, encoding, functions, width, depth, runtime, cornell, export):
+    model = field_model(cornell, encoding, functions, width, depth)
+    asset = export(model, dtype)
+    loaded, wanted = runtime.load(asset), asset.model()
+    x = light(cornell)
+    predicted = np.asarray(wanted.reconstruct(wanted.transfer(x[None])))[0]
+    assert relative(loaded.predict(x), predicted) < PARITY
+    full = np.asarray(model.reconstruct(model.transfer(x[None])))[0]
+    assert relative(loaded.predict(x), full) < (1e-4 if dtype == "float32" else 2e-2)
+    numbers = sum(array.size for name, array in asset.arrays.items() if name.startswith("grid"))
+    assert numbers == (2 * sum(side**3 for side in LEVELS) if encoding == "grid" else 0)
+
+
+def test_a_frame_shows_the_field_where_a_texture_would(runtime, cornell, export):
+    """The same functions from the network and from a lightmap; they differ by what a texel's bilinear lookup does."""
+    model = field_model(cornell, "none", 4, 12, 1)
+    loaded = runtime.load(export(model))
+    lighting = Lighting([PointLight((0.1, 1.6, 0.2), (5.0, 4.0, 3.0))])
+    x = runtime.measure(lighting)
+    baked = runtime.lightmap(np.asarray(model.reconstruct(model.transfer(x[None].astype(float))))[0])
+    found, wanted = (runtime.frame(lighting, indirect, direct=False) for indirect in (loaded, baked))
+    assert relative(found, wanted) < 0.02
