@@ -3,7 +3,7 @@
 What is reflected towards the camera is said in `glossy_reference.py`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -50,11 +50,13 @@ def reference_image(
     workers: int | None = None,
     diffuse_between: bool = False,
     camera: Camera | None = None,
+    lobes_alone: bool = False,
 ) -> RadianceImage:
     """The scene as its camera (or another) sees it through the middles of the pixels, with `paths` for each.
 
     Pixels are not averaged over their area. Backs of one-sided surfaces are black; area lights are not seen themselves,
-    environment lights are where nothing stands before them. Arguments are those of `reference_radiance`.
+    environment lights are where nothing stands before them. Arguments are those of `reference_radiance`. With `lobes_alone` the
+    picture holds what the lobes of visible surfaces send to the camera and nothing else: to be added to a picture of the rest.
     """
     camera = camera or scene.camera
     direction = camera_directions(camera, height, width).reshape(-1, 3)
@@ -63,6 +65,10 @@ def reference_image(
     seen = np.flatnonzero(hits.face >= 0)
     lit = seen[reflecting(scene, hits, seen)]
     points = surface_met(scene, hits, lit)
+    if lobes_alone:
+        specular, _ = scene.glossy_at(points.face, points.barycentric)
+        shiny = specular.any(axis=1)
+        lit, points = lit[shiny], replace(points[shiny], albedo=np.zeros((int(shiny.sum()), 3)))
     estimate = reference_radiance(
         scene, lighting, points, -direction[lit], paths, bounces, seed, workers, diffuse_between
     )
@@ -70,7 +76,7 @@ def reference_image(
     halves[:, lit], error[lit] = estimate.halves, estimate.standard_error
     hit = hits.face >= 0
     origin = np.broadcast_to(np.asarray(camera.position, float), direction[~hit].shape)
-    for light in lighting.lights:
+    for light in () if lobes_alone else lighting.lights:
         if isinstance(light, EnvironmentLight):
             halves[:, ~hit] += arriving(light, origin, direction[~hit]).radiance
     shape = (height, width)

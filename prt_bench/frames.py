@@ -12,12 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.draw import draw_measurement_points
+from data_gen.reference_image import reference_image
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
 from prt_bench.images import exposure_for, tone_map, write_png
 from prt_bench.lights import Lighting
 from prt_bench.metrics import flip, ssim
 from prt_bench.models import Model
+from prt_bench.progress import say
 from prt_bench.records import Record, Timing
 from prt_bench.report.pictures import write_picture
 from prt_bench.runtime.indirect import Indirect, LoadedAsset
@@ -26,13 +28,16 @@ from prt_bench.runtime.timing import time_assets as time_in_runtime
 from prt_bench.spec import TimeSpec
 from prt_bench.timing import time_stages
 
+PATHS = 128
+"""Paths per pixel of path-traced lobes."""
 PARITY = 8
 """Held-out lightings per split on which the runtime is compared with JAX and with ray-traced direct light."""
 
 
 @dataclass(frozen=True)
 class _Reference:
-    """One split's frame lit by the reference lightmap, tone-mapped at an exposure that suits it."""
+    """One split's frame, tone-mapped at an exposure that suits it: lit by the reference lightmap, with path-traced lobes
+    where the scene has any, which no lightmap holds."""
 
     lighting: Lighting
     exposure: float
@@ -76,6 +81,8 @@ class FrameComparison:
         if held_out.rows not in self._references:
             lighting, light = held_out.lightings[0], self.runtime.lightmap(held_out.indirect[0])
             final = self.runtime.frame(lighting, light)
+            if self.runtime.scene.glossy:
+                final += self._lobes(lighting)
             exposure = exposure_for(final)
             display = tone_map(final, exposure) / 255.0
             self._references[held_out.rows] = _Reference(lighting, exposure, display)
@@ -84,6 +91,16 @@ class FrameComparison:
                 self._write("", {"reference": final, "indirect_reference": alone})
                 draw_measurement_points(held_out, self._folder / self.measurement_picture)
         return self._references[held_out.rows]
+
+    def _lobes(self, lighting: Lighting) -> Float[np.ndarray, "H W 3"]:
+        """What lobes reflect in this view, of light and of surfaces, by the independent path tracer.
+
+        Environment lights are themselves there, not the directions that stand for them in a bake.
+        """
+        width, height = self.runtime.size
+        traced = reference_image(self.runtime.scene, lighting, height, width, PATHS, lobes_alone=True)
+        say(f"path traced the lobes of {self._name} at {width} × {height} pixels: noise {traced.noise:.1%} of theirs")
+        return traced.mean
 
     def _measurement_error(self, loaded: LoadedAsset, held_out: LightingDataset) -> float:
         """Root mean square over some lightings of the relative error of what the runtime measures; once for all assets

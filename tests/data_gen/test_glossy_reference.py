@@ -263,3 +263,17 @@ def test_picture_is_the_radiance_of_its_pixels() -> None:
     assert noises[0].noise == pytest.approx(4.0 * noises[1].noise, rel=0.25)  # as one over the root of the samples
     difference = np.linalg.norm((noises[0].mean - noises[1].mean)[noises[1].hit])
     assert difference / np.linalg.norm(noises[1].mean[noises[1].hit]) == pytest.approx(noises[0].noise, rel=0.25)
+
+
+def test_lobes_alone_are_what_they_add_to_a_picture() -> None:
+    """To a picture of the same surface without them; a diffuse surface has none."""
+    camera = Camera((0.1, 1.0, 1.0), (0.0, 0.0, 0.0))
+    lighting = Lighting([DirectionalLight([0.1, -1.0, 0.9], COLOUR)])
+    shiny, dull = (floor(lobe) for lobe in (Glossy(SPECULAR, 9.0), None))
+    whole, rest = (reference_image(scene, lighting, 12, 16, 2, camera=camera).mean for scene in (shiny, dull))
+    lobes, none = (
+        reference_image(scene, lighting, 12, 16, 2, camera=camera, lobes_alone=True).mean for scene in (shiny, dull)
+    )
+    np.testing.assert_allclose(lobes, whole - rest, atol=1e-12)
+    assert lobes.max() > 0.1
+    assert not none.any()

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 import prt_bench as prt
+from prt_bench.environment import EnvironmentMap
 from prt_bench.example import example_dataset
+from prt_bench.frames import FrameComparison
 from prt_bench.methods.interreflection import fix_light
 from prt_bench.runtime import Runtime
 from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.scene import Glossy
+from prt_bench.spec import TimeSpec
 
 LIGHTING = prt.Lighting(
     [
@@ -137,3 +140,27 @@ def test_inter_reflections_of_fixed_light_agree_with_the_model(order, room, wind
     added = window.frame(LIGHTING, loaded) - window.frame(LIGHTING, window.load(alone))
     assert added.min() > -1e-5
     assert added.mean() > 0.01
+
+
+def test_frames_of_glossy_scenes_are_compared_with_path_traced_lobes(room, tmp_path, monkeypatch):
+    """Lobes bring a frame closer, where a diffuse reference would make them an error; diffuse scenes trace no path."""
+    sky = np.ones((8, 16, 3), np.float32) * np.linspace(0.2, 2.0, 16, dtype=np.float32)[:, None]
+    light = prt.Lighting([prt.EnvironmentLight(EnvironmentMap("gradient", sky))])
+    indirect = prt.method("sh-texture", light="indirect").fit(room)
+    bounced = np.asarray(indirect.reconstruct(indirect.measure(Observed(light))), np.float32)
+    count = len(room.all_lightings)
+    arrays = {**room.arrays, "indirect": np.repeat(bounced, count, axis=0)}
+    ds = replace(room, all_lightings=(light,) * count, arrays=arrays).split("test")
+    comparison = FrameComparison(ds, TimeSpec(size=(48, 36), shadow_resolution=64), tmp_path)
+    scores = []
+    for name in ("sh-triple", "sh-texture"):
+        model = prt.method(name).fit(ds)
+        loaded = comparison.runtime.load(model.export(tmp_path / name))
+        record = prt.evaluate(model, ds, loaded.asset)
+        scores.append(comparison.complete(record, model, loaded, ds).errors.flip)
+    assert scores[0] < 0.93 * scores[1]
+
+    monkeypatch.setattr("prt_bench.frames.reference_image", None)
+    dull = example_dataset(texels=6, walls=5).split("test")
+    plain = FrameComparison(dull, TimeSpec(size=(32, 24), shadow_resolution=64), tmp_path)
+    assert plain._reference(dull).display.shape == (24, 32, 3)
