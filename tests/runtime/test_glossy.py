@@ -151,7 +151,7 @@ def test_frames_of_glossy_scenes_are_compared_with_path_traced_lobes(room, tmp_p
     count = len(room.all_lightings)
     arrays = {**room.arrays, "indirect": np.repeat(bounced, count, axis=0)}
     ds = replace(room, all_lightings=(light,) * count, arrays=arrays).split("test")
-    comparison = FrameComparison(ds, TimeSpec(size=(48, 36), shadow_resolution=64), tmp_path)
+    comparison = FrameComparison(ds, TimeSpec(size=(64, 48), shadow_resolution=128), tmp_path)
     scores = []
     for name in ("sh-triple", "sh-texture"):
         model = prt.method(name).fit(ds)
