@@ -1,8 +1,8 @@
-"""Direct light with shadow rays: irradiance at points from many lightings."""
+"""Direct light with shadow rays: irradiance at points from many lightings, or only which emitters they see."""
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from data_gen.tracer import Tracer
 from prt_bench.emitters import Emitters, strength
@@ -33,6 +33,20 @@ def direct_irradiance(
     with tracer.pool() as executor:
         list(executor.map(light, range(len(out))))
     return out
+
+
+def visibility(tracer: Tracer, points: SurfacePoints, emitters: Emitters) -> Bool[np.ndarray, "N P Q"]:
+    """Which emitters of each lighting light which points: False behind them, outside of a cone, in shadow and in the dark."""
+    position, normal = np.asarray(points.position, np.float32), np.asarray(points.normal, np.float32)
+    origins = position + np.float32(tracer.offset) * normal
+    single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), emitters)
+    seen = []
+    for index in range(len(single.position)):
+        lit = jax.tree.map(lambda leaf, at=index: leaf[at], single)
+        weight = np.array(_strength(lit, position, normal)) * (lit.intensity.max(axis=1) > 0)
+        _remove_shadowed(weight, tracer, origins, lit)
+        seen.append(weight > 0)
+    return np.stack(seen)
 
 
 def _remove_shadowed(

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import jax
 
@@ -47,11 +47,26 @@ class Method(ABC):
             value = getattr(self, setting.name)
             if setting.name == "basis":
                 told.append(f"b{value}")
+            elif isinstance(value, jax.Array):
+                continue  # traced, see `with_traced`
             elif value != setting.default and isinstance(value, str):
                 told.append(value)
             elif value != setting.default:
                 told.append(f"{setting.name}={value:g}" if isinstance(value, float) else f"{setting.name}={value}")
         return " ".join(told)
+
+    def with_traced(self, **values: jax.Array) -> Self:
+        """This method with settings that JAX may be tracing, for derivatives of a fit in them.
+
+        They are neither checked nor told in the label. A fit is differentiable in such a setting where its docstring says so.
+        """
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        if unknown := set(values) - set(given):
+            raise SpecError(f"{self.name} has no setting '{min(unknown)}'; it has {', '.join(given) or 'none'}")
+        made = object.__new__(type(self))
+        for name, value in {**given, **values}.items():
+            object.__setattr__(made, name, value)
+        return made
 
     def require(self, condition: bool, setting: str, wanted: str) -> None:
         """Raise `SpecError` unless `condition` holds: method.setting must be `wanted`."""

@@ -107,7 +107,8 @@ def rigs(route: Route, seeds: tuple[int, ...] = (0,)) -> Iterator[Member]:
         for walls in (CLOSED, OPEN):
             for name, weights in {**_weights(seed), "symmetric": _weights(seed)["plain"]}.items():
                 if walls == CLOSED or name in _IN_THE_OPEN:
-                    yield _member(name, *_light(name, weights, walls), route, seed, walls)
+                    measured, indirect = _light(name, weights, walls)
+                    yield _member(name, measured, indirect, route, seed, walls)
 
 
 def named(name: str, route: Route, seeds: tuple[int, ...]) -> Iterator[Member]:

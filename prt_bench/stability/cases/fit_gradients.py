@@ -1,6 +1,6 @@
 """Derivatives of predictions through whole fits: in measured light, in the training data, and in the ridge."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
@@ -36,8 +36,10 @@ def in_measured_light(method: Method, rig: Rig, route: Route) -> Iterator[Measur
 
 
 def _smooth_in_data() -> dict[str, Method]:
-    """Floors that choose one of the training lightings jump where two are equally near; the others must not."""
-    return {label: method for label, method in subjects(ridge=_RIDGE).items() if method.name != "nearest"}
+    """Floors that choose one of the training lightings jump where two are equally near; the others must not, but for those
+    that refuse derivatives."""
+    found = subjects(ridge=_RIDGE)
+    return {label: method for label, method in found.items() if method.differentiable and method.name != "nearest"}
 
 
 @case("H1", "prediction in the training data", kind=Kind.GRADIENT, subjects=_smooth_in_data, family=_rigs)
@@ -50,6 +52,18 @@ def in_training_data(method: Method, rig: Rig, route: Route) -> Iterator[Measure
     return gradient_error(predict, [rig.train.measured, rig.train.indirect], rig.tangent, route)
 
 
+def _trained() -> dict[str, Method]:
+    return {label: method for label, method in subjects().items() if not method.differentiable}
+
+
+@case("H1", "derivatives through training", kind=Kind.REFUSAL, subjects=_trained, family=_rigs)
+def through_training(method: Method, rig: Rig, route: Route) -> bool:
+    """H1: what trains by gradient steps does not pass off the derivative of something else as that of its fit."""
+    light = jnp.asarray(rig.train.measured), jnp.asarray(rig.train.indirect)
+    jax.grad(lambda x: jnp.sum(method.fit(dataset(x, light[1])).predict(rig.test)))(light[0])  # pyright: ignore[reportArgumentType]
+    return False
+
+
 def _with_ridge() -> dict[str, Method]:
     return {label: method for label, method in subjects().items() if "ridge" in rigs.settings(method)}
 
@@ -57,16 +71,8 @@ def _with_ridge() -> dict[str, Method]:
 @case("H1", "prediction in the ridge", kind=Kind.GRADIENT, subjects=_with_ridge, family=_rigs)
 def in_ridge(method: Method, rig: Rig, route: Route) -> Iterator[Measured]:
     """H1: by implicit differentiation of the normal equations."""
-    traced = _unchecked(method)
 
     def predict(factor: jax.Array) -> jax.Array:
-        return traced(factor).fit(rig.train).predict(rig.test)
+        return method.with_traced(ridge=factor).fit(rig.train).predict(rig.test)
 
     return gradient_error(predict, [np.array(_RIDGE)], [np.array(_RIDGE)], route)
-
-
-def _unchecked(method: Method) -> Callable[[jax.Array], Method]:
-    """The method as a function of its ridge, which may be traced: without the checks and the label of a user's settings."""
-    kind = type(method)
-    loose = type(kind.__name__, (kind,), {"__post_init__": lambda self: None, "label": method.label})
-    return lambda factor: loose(**{**rigs.settings(method), "ridge": factor})

@@ -9,6 +9,7 @@ import numpy as np
 
 from prt_bench.emitters import irradiance
 from prt_bench.environment import EnvironmentMap, median_cut
+from prt_bench.errors import LightError
 from prt_bench.lights import (
     DirectionalLight,
     EnvironmentLight,
@@ -166,6 +167,41 @@ def unphysical(check: Any, make: Any, route: Route) -> bool:
     """Each is refused with the name of the parameter."""
     check(make)
     return False
+
+
+def _bad_maps(route: Route) -> Iterator[Member]:
+    """Maps with some bad values among good ones, and how many."""
+    good = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
+    for name, values in {
+        "one NaN": [np.nan],
+        "one negative": [-0.5],
+        "one infinite": [np.inf],
+        "some of each": [np.nan, -1e-3, np.inf, -np.inf],
+        "all NaN": [np.nan] * good.size,
+        "none": [],
+    }.items():
+        sky = good.copy()
+        sky.flat[: len(values)] = values
+        yield Member(name, (sky, len(values)))
+
+
+@case("C5", "environment maps with bad pixels", subjects=lambda: {"repaired": EnvironmentMap.repaired}, family=_bad_maps,
+      routes=(F64,))  # fmt: skip
+def bad_pixels(repaired: Any, map_: tuple[np.ndarray, int], route: Route) -> Iterator[Measured]:
+    """C5: refused with their count unless repaired, and then counted too; good values stay, and light is finite."""
+    sky, count = map_
+    made, found = repaired("sky", sky)
+    yield Measured(abs(found - count), 0.0)
+    yield Measured(float(np.sum(made.radiance.ravel()[count:] != sky.ravel()[count:])), 0.0)
+    refused = ""
+    try:
+        EnvironmentMap("sky", sky)
+    except LightError as error:
+        refused = str(error)
+    yield Measured(float((f"{count} negative or non-finite" in refused) != (count > 0)), 0.0)
+    _, energy = median_cut(made, 8)
+    yield Measured(0.0 if np.all(np.isfinite(energy)) and np.all(energy >= 0) else np.nan, 1.0)
+    yield Measured(float(np.max(made.radiance) > np.max(sky, where=np.isfinite(sky), initial=0.0)), 0.0)
 
 
 def _skies(route: Route) -> Iterator[Member]:

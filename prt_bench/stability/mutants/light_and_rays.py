@@ -142,6 +142,18 @@ def over_seams(sound: Any) -> Any:
     return naive
 
 
+@mutant("texture coordinates as they come", "data_gen.atlas:_flaw_of_own_atlas", "texture coordinates", routes=(F64,))
+def as_they_come(sound: Any) -> Any:
+    """Islands that overlap receive each other's light."""
+    return lambda scene, resolution: sound(scene, resolution) if scene.mesh.uv is None else None
+
+
+@mutant("bad pixels kept", "prt_bench.environment:_bad", "bad pixels", routes=(F64,))
+def bad_pixels_kept(_: Any) -> Any:
+    """One of them is all the light there is."""
+    return lambda radiance: np.zeros(radiance.shape, bool)
+
+
 @mutant("8-bit bases of one global range", "prt_bench.models:Model.export", "quantised bases", routes=(F64,))
 def one_range(sound: Any) -> Any:
     """The small functions are lost beside the large one."""
