@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from prt_bench.learned.models import History
-from prt_bench.learned.networks import Network
+from prt_bench.learned.networks import Network, magnitudes
 from prt_bench.models import LinearModel, Model
 
 Encoding = Literal["none", "frequency", "grid"]
@@ -108,6 +108,20 @@ class FieldModel(Model):
     def reconstruct(self, u: Float[Array, "N B C"]) -> Float[Array, "N T C"]:
         """φ · u."""
         return jnp.einsum("tb,nbc->ntc", self.span, u, precision="highest")
+
+    def magnitudes(self, x: Float[Array, "N M C"]) -> Float[Array, "N T C"]:
+        """Sums of the sizes of what a prediction adds up: rounding may grow to these times eps.
+
+        A sine's error is that of its angle, so it counts with the size of the angle.
+        """
+        field = self.field
+        place = jnp.abs((self.position - field.box[:3]) * field.box[3])
+        angles = [2.0**octave * np.pi * place + 1.0 for octave in range(field.octaves) for _ in "sc"]
+        grids = [interpolated(jnp.abs(grid), place) + jnp.max(jnp.abs(grid)) for grid in field.grids]
+        inputs = jnp.concatenate([place, jnp.abs(self.normal), *angles, *grids], axis=1)
+        phi = jnp.einsum("ph,bh->pb", magnitudes(field.network, inputs), jnp.abs(field.head))
+        sizes = LinearModel(phi, jnp.abs(self.weights))
+        return sizes.reconstruct(sizes.transfer(jnp.abs(x)))
 
     @property
     def head(self) -> Float[Array, "B h"]:

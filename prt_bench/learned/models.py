@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from prt_bench.learned.networks import Network, homogeneous
+from prt_bench.gamma import over, root_mean_square
+from prt_bench.learned.networks import Network, homogeneous, magnitudes
 from prt_bench.models import LinearModel, Model
 
 History = dict[str, Float[np.ndarray, " k"]]
@@ -55,6 +57,15 @@ class ResidualModel(Model):
         """The inverse of `arrays`."""
         linear = LinearModel(arrays["basis"], arrays["weights"])
         return cls(linear, Network.from_arrays(arrays), arrays["head"])
+
+    def magnitudes(self, x: Float[Array, "N M C"]) -> Float[Array, "N T C"]:
+        """Sums of the sizes of what a prediction adds up: rounding may grow to these times eps."""
+        sizes = LinearModel(jnp.abs(self.linear.basis), jnp.abs(self.linear.weights))
+        size = root_mean_square(x)
+        hidden = magnitudes(self.network, jnp.swapaxes(over(x, size), 1, 2))
+        head = jnp.broadcast_to(jnp.abs(self.head), (x.shape[2], *self.head.shape[1:]))
+        u = sizes.transfer(jnp.abs(x)) + size * jnp.einsum("cbh,nch->nbc", head, hidden)
+        return sizes.reconstruct(u)
 
     @property
     def basis(self) -> Float[Array, "T B"]:

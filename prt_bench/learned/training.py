@@ -124,7 +124,7 @@ def train(
             if checkpoint:
                 _keep(checkpoint, mark, state)
             tell(at + 1, f"loss {told[1]:.3g}, held out {told[2]:.4g}")
-    done = np.asarray(state.curves[:, : int(state.chunk) + 1], np.float64)
+    done = np.array(state.curves[:, : int(state.chunk) + 1], np.float64)
     if not np.isfinite(done[1, 0]):  # an example is not, and all were counted: the batches that were finite say more
         done[1, 0] = done[1, 1]
     history: dict[str, np.ndarray] = dict(zip(CURVES, done, strict=True))
