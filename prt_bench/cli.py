@@ -177,19 +177,22 @@ def _check_method(args: argparse.Namespace) -> None:
 
 
 def _stability(args: argparse.Namespace) -> int:
-    """Exit status 1 when a goal is missed."""
+    """Exit status 1 when a goal is missed. With --out an interrupted scoreboard goes on where it was."""
     from prt_bench.stability import board, mutants, table
+    from prt_bench.stability.journal import Journal
 
+    journal = None
     if args.out:
-        board.check_target(args.out)  # before minutes of work
-    cells = board.run(board.selected(args.case), args.route, jobs=args.jobs)
-    if args.out and args.mutations:
-        board.write(args.out, cells, ())  # should a mutant not end
+        target = board.check_target(args.out)  # before minutes of work
+        journal = Journal(target.with_name(target.name + ".cells"))
+    cells = board.run(board.selected(args.case), args.route, jobs=args.jobs, journal=journal)
     killed = mutants.kills(known=cells, jobs=args.jobs) if args.mutations else ()
     found = board.goals(cells, killed)
     table.show(_out, cells, killed, found)
     if args.out:
         _out.print(f"scoreboard: {board.write(args.out, cells, killed)}", highlight=False, soft_wrap=True)
+    if journal:
+        journal.done()
     return int(not all(goal.met for goal in found))
 
 

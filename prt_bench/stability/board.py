@@ -13,6 +13,7 @@ from prt_bench.errors import SpecError
 from prt_bench.records import provenance
 from prt_bench.stability.cases import cases
 from prt_bench.stability.cell import Case, Cell, Kind, Outcome, run_cell
+from prt_bench.stability.journal import Journal, Name, name_of
 from prt_bench.stability.processes import spread
 from prt_bench.stability.routes import ROUTES
 
@@ -60,9 +61,26 @@ _Place = tuple[int, str, int]
 """A cell by the places of its case and route, and its subject: what another process can be told."""
 
 
-def run(chosen: Iterable[Case], routes: Sequence[str] = (), progress: bool = True, jobs: int | None = 1) -> list[Cell]:
-    """Every cell of the chosen cases, in the routes named (all without names), in `jobs` processes (None: one a core)."""
-    return list(spread(_cell, list(_places(chosen, routes)), "stability", jobs, progress))
+def run(
+    chosen: Iterable[Case],
+    routes: Sequence[str] = (),
+    progress: bool = True,
+    jobs: int | None = 1,
+    journal: Journal | None = None,
+) -> list[Cell]:
+    """Every cell of the chosen cases, in the routes named (all without names), in `jobs` processes (None: one a core).
+
+    With a `journal` cells that it holds are not measured again, and it is told every other one at once.
+    """
+    places = list(_places(chosen, routes))
+    known = journal.cells if journal else {}
+    new = [place for place in places if _name(place) not in known]
+    found = dict(known)
+    for cell in spread(_cell, new, "stability", jobs, progress):
+        found[name_of(cell)] = cell
+        if journal:
+            journal.add(cell)
+    return [found[_name(place)] for place in places]
 
 
 def _places(chosen: Iterable[Case], routes: Sequence[str]) -> Iterator[_Place]:
@@ -70,6 +88,11 @@ def _places(chosen: Iterable[Case], routes: Sequence[str]) -> Iterator[_Place]:
         for route in case.routes:
             if not routes or route.name in routes:
                 yield from ((cases().index(case), subject, ROUTES.index(route)) for subject in case.subjects())
+
+
+def _name(place: _Place) -> Name:
+    case, subject, route = place
+    return cases()[case].key, cases()[case].title, str(cases()[case].kind), subject, ROUTES[route].name
 
 
 def _cell(place: _Place) -> Cell:
