@@ -123,6 +123,7 @@ def _group_data(group: Group, pictures: Mapping[Row, Mapping[str, tuple[str, str
             f"{x} {y}": frontier(members, METRICS[x], METRICS[y]) for x in COST_AXES for y in ERROR_AXES
         },
         "curves": _curves(members),
+        "trainings": _trainings(members),
     }  # fmt: skip
 
 
@@ -161,6 +162,26 @@ def _curves(members: Iterable[Row]) -> list[dict[str, Any]]:
                     "values": relative,
                 }
     return list(found.values())
+
+
+def _trainings(members: Iterable[Row]) -> list[dict[str, Any]]:
+    """Of every row that was trained: the error on lightings held out, relative to the one it began with, by steps."""
+    found = []
+    for row in members:
+        curves = row.record.curves
+        steps, error = curves.get("training_steps") or [], curves.get("validation_error") or []
+        if steps and error and error[0] > 0:
+            found.append(
+                {
+                    "kind": _kind(row.record),
+                    "method": row.record.method,
+                    "label": row.record.label,
+                    "steps": steps,
+                    "error": [value / error[0] for value in error],
+                    "best": int(np.argmin(error)),
+                }
+            )
+    return found
 
 
 def _pairs(run_dir: Path, row: Row) -> dict[str, Pair]:

@@ -266,6 +266,16 @@ def test_settings_that_share_singular_values_are_drawn_once(page):
         assert all(curve["values"][0] == 1 for curve in group["curves"])
 
 
+def test_trainings_are_drawn_from_where_they_began(tmp_path, make_record):
+    curves = {"training_steps": [0, 10, 20], "training_loss": [3, 2, 1], "validation_error": [4.0, 1.0, 2.0]}
+    plain, trained = make_record(), make_record("mlp-coefficients b16", curves=curves)
+    record_files.append(tmp_path / "records.jsonl", plain, trained)
+    (group,) = Page(write_report(tmp_path).read_text(encoding="utf-8")).data["groups"]
+    (training,) = group["trainings"]
+    assert training["label"] == "mlp-coefficients b16"
+    assert (training["steps"], training["error"], training["best"]) == ([0, 10, 20], [1.0, 0.25, 0.5], 1)
+
+
 def test_the_stability_scoreboard_is_a_section_where_the_run_has_one(tmp_path, make_record):
     record_files.append(tmp_path / "records.jsonl", make_record())
     assert 'id="stability"' not in write_report(tmp_path).read_text()

@@ -182,10 +182,27 @@ function drawSpectrum() {
     legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0, traceorder: "reversed" }, margin: { l: 76, r: 18, t: 36, b: 50 } }), CONFIG);
 }
 
+function drawTraining() {
+  $("training").hidden = group.trainings.length === 0;
+  if (!group.trainings.length) return;
+  const traces = [...group.trainings].reverse().map((training) => {
+    const hue = colour(training);
+    return { type: "scatter", mode: "lines+markers", name: plain(training.label), x: training.steps, y: training.error,
+      line: { width: 1.4, color: hue }, marker: { color: hue, symbol: training.steps.map((_, index) => (index === training.best ? "circle-open" : "circle")),
+        size: training.steps.map((_, index) => (index === training.best ? 11 : 3)) },
+      hovertemplate: `<b>${plain(training.label)}</b><br>%{x} steps: %{y:.3g}<extra></extra>` };
+  });
+  const frame = $("chart-training");
+  frame.style.height = "320px";
+  Plotly.react(frame, traces, layout({ xaxis: { title: { text: "steps" }, rangemode: "tozero" }, yaxis: axis("error held out / at the start", group.trainings.flatMap((training) => training.error), true), showlegend: true,
+    legend: { orientation: "h", y: 1, yanchor: "bottom", x: 0, traceorder: "reversed" }, margin: { l: 76, r: 18, t: 36, b: 50 } }), CONFIG);
+}
+
 function drawCharts() {
   drawFrontier();
   drawErrors();
   drawSpectrum();
+  drawTraining();
 }
 
 function startCharts() {
