@@ -9,20 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from prt_bench.dataset import LightingDataset
-from prt_bench.learned.light import (
-    Light,
-    any_order_mean,
-    held_light,
-    in_float32,
-    refuse_derivatives,
-    training_examples,
-)
+from prt_bench.learned.light import Light, any_order_mean, in_float32
 from prt_bench.learned.losses import power_of_two
 from prt_bench.learned.models import ResidualModel
 from prt_bench.learned.networks import Network, homogeneous
+from prt_bench.learned.start import Start, start_from
 from prt_bench.learned.training import Schedule, train
 from prt_bench.methods.base import Method
-from prt_bench.methods.reduced_rank import ReducedRank
 from prt_bench.models import LinearModel
 
 
@@ -57,11 +50,12 @@ class MlpCoefficients(Method):
 
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> ResidualModel:
         """Fit in closed form in float64, then train in float32; not differentiable in the light of `ds`."""
-        refuse_derivatives(self.name, ds)
-        linear = ReducedRank(self.basis).fit(ds)
-        examples, held = (
-            _left(linear, light) for light in (training_examples(ds, linear.basis), held_light(ds, linear.basis))
-        )
+        return self.train_from(start_from(ds, self.basis, self.name), key)
+
+    def train_from(self, start: Start, key: jax.Array | None = None) -> ResidualModel:
+        """Train from what `start_from` gave for as many functions."""
+        linear = start.linear
+        examples, held = (_left(linear, light) for light in (start.examples, start.held))
         scale = power_of_two(jnp.sqrt(jnp.mean(examples.targets**2)))
         examples, held = (in_float32(light._replace(targets=light.targets / scale)) for light in (examples, held))
         first, second = jax.random.split(jax.random.key(0) if key is None else key)

@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 
 from prt_bench.dataset import LightingDataset
 from prt_bench.learned.fields import Encoding, Field, FieldModel
-from prt_bench.learned.light import any_order_mean, held_light, in_float32, refuse_derivatives, training_examples
+from prt_bench.learned.light import any_order_mean, in_float32
 from prt_bench.learned.losses import power_of_two, relative_square, square
+from prt_bench.learned.start import Start, start_from
 from prt_bench.learned.training import Schedule, train
 from prt_bench.linalg import relative_damping, ridge
 from prt_bench.methods.base import Method
-from prt_bench.methods.reduced_rank import ReducedRank
 
 _HEAD_RIDGE = 1e-6
 
@@ -66,29 +66,33 @@ class MlpDecoder(Method):
 
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> FieldModel:
         """Fit in closed form in float64, then train in float32; not differentiable in the light of `ds`."""
-        refuse_derivatives(self.name, ds)
-        linear = ReducedRank(self.basis).fit(ds)
-        u = in_float32(training_examples(ds, linear.basis)).targets
-        weight = jnp.sqrt(jnp.mean(u[: len(ds.streamed.measured)] ** 2, axis=(0, 2)))
+        return self.train_from(ds, start_from(ds, self.basis, self.name), key)
+
+    def train_from(self, ds: LightingDataset, start: Start, key: jax.Array | None = None) -> FieldModel:
+        """Train from what `start_from` gave for as many functions; of `ds`, only where the receivers are is looked at."""
+        linear = start.linear
+        u = in_float32(start.examples).targets
+        streamed = len(u) - len(u) // 3  # the rest is light on the surface that no lighting need resemble
+        weight = jnp.sqrt(jnp.mean(u[:streamed] ** 2, axis=(0, 2)))
         target = linear.basis * weight
         scale = power_of_two(jnp.sqrt(jnp.mean(target**2)))
         points, mesh = ds.transport.receivers, ds.transport.scene.mesh
         place = jnp.asarray(points.position, jnp.float32), jnp.asarray(mesh.normals[points.face], jnp.float32)
         texels = _Texels(*place, jnp.asarray(target / scale, jnp.float32))
-        held = in_float32(held_light(ds, linear.basis))
+        held = in_float32(start.held)
         coefficients = held.targets / (weight / scale)[:, None]
         coefficients = jnp.where((weight > 0)[:, None], coefficients, 0.0).astype(jnp.float32)
         first, second = jax.random.split(jax.random.key(0) if key is None else key)
-        start = _with_closed_head(
+        begun = _with_closed_head(
             Field.random(first, self.encoding, _box(place[0]), self.width, self.depth, self.basis), texels
         )
         loss = {"square": _square_loss, "relative": _relative_loss}[self.loss]
         trained = train(
-            (start.network, start.head, start.grids), (start.box, jnp.sqrt(jnp.mean(texels.target**2))), texels,
+            (begun.network, begun.head, begun.grids), (begun.box, jnp.sqrt(jnp.mean(texels.target**2))), texels,
             (texels, coefficients), loss, _score, Schedule(self.epochs, 1024, self.rate, patience=20), second,
             self.label, Path(self.checkpoint) if self.checkpoint else None,
         )  # fmt: skip
-        found = _field(trained.weights, start.box)
+        found = _field(trained.weights, begun.box)
         position, normal = (part.astype(jnp.float64) for part in place)
         codes = _codes(found(position, normal), linear.basis, linear.weights)
         return FieldModel(found, codes, position, normal, trained.history)

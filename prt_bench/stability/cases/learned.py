@@ -129,19 +129,23 @@ def one_bad_update(fit: Any, light: _Light, route: Route) -> Iterator[Measured]:
     yield Measured(float(np.sqrt(trained.history["validation_error"].min() / np.mean(held.targets**2))), 0.1)
 
 
+def _random_networks() -> dict[str, Any]:
+    return {"network": Network.random}
+
+
 def _widths(route: Route) -> Iterator[Member]:
     yield from (Member(f"width {width}", width) for width in (4, 32, 128))
 
 
-@case("B9", "networks in half precision", subjects=lambda: {"network": Network.random}, family=_widths, routes=(F32,))
+@case("B9", "networks in half precision", subjects=_random_networks, family=_widths, routes=(F32,))
 def half_precision(random: Any, width: int, route: Route) -> Iterator[Measured]:
     """B9: weights rounded to float16 change a network by their rounding along its paths, and by no more."""
     x = jnp.asarray(np.random.default_rng(0).exponential(size=(20, 24, 3)), route.compute)
     network = random(jax.random.key(0), [24, width, width])
     head = jax.random.normal(jax.random.key(1), (3, 6, width), route.compute)
     narrow = jax.tree.map(lambda leaf: leaf.astype(jnp.float16).astype(route.compute), (network, head))
-    plain, found = homogeneous(network, head, x), homogeneous(*narrow, x)
+    plain, found = homogeneous(network, head, x), homogeneous(narrow[0], narrow[1], x)
     sizes = jax.tree.map(jnp.abs, (network, head))
-    bound = homogeneous(*sizes, jnp.abs(x))
+    bound = homogeneous(sizes[0], sizes[1], jnp.abs(x))
     unit = float(jnp.finfo(jnp.float16).eps) / 2
     yield Measured(float(jnp.max(jnp.abs(found - plain) / (bound + rigs.BASIS))), 4 * unit)
