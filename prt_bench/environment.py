@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from prt_bench.errors import LightError
 
@@ -29,9 +29,23 @@ class EnvironmentMap:
             raise LightError(
                 f"environment '{self.name}' has shape {self.radiance.shape}, but must be [height, width, 3]"
             )
-        bad = int(np.sum(~np.isfinite(self.radiance) | (self.radiance < 0)))
+        bad = int(np.sum(_bad(self.radiance)))
         if bad:
-            raise LightError(f"environment '{self.name}' has {bad} negative or non-finite values; repair the map first")
+            raise LightError(
+                f"environment '{self.name}' has {bad} negative or non-finite values; EnvironmentMap.repaired mends them"
+            )
+
+    @classmethod
+    def repaired(cls, name: str, radiance: Float[np.ndarray, "H W 3"]) -> tuple[Self, int]:
+        """The map with its negative and non-finite values replaced, and how many there were.
+
+        Negative ones and NaN become zero, infinite ones the largest finite value.
+        """
+        radiance = np.array(radiance, np.float32)
+        bad = _bad(radiance)
+        most = float(radiance[~bad].max(initial=0.0))
+        radiance[bad] = np.where(np.isposinf(radiance[bad]), most, 0.0)
+        return cls(name, radiance), int(bad.sum())
 
     @classmethod
     def coerce(cls, source: "EnvironmentMap | str | Path | np.ndarray") -> "EnvironmentMap":
@@ -73,6 +87,11 @@ class EnvironmentMap:
 
     def __hash__(self) -> int:
         return hash(self.hash)
+
+
+def _bad(radiance: np.ndarray) -> Bool[np.ndarray, "H W 3"]:
+    """Values that are no radiance."""
+    return ~np.isfinite(radiance) | (radiance < 0)
 
 
 def texel_directions(height: int, width: int) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H 1"]]:

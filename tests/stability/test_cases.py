@@ -22,6 +22,8 @@ FAST = [
     ("C5", Kind.GRADIENT, "safe_norm", F32),
     ("F2", Kind.VALUE, "gather", F32),
     ("G5", Kind.VALUE, "embree", F32),
+    ("G5", Kind.VALUE, "unwrap", F64),
+    ("C5", Kind.VALUE, "repaired", F64),
     ("G4", Kind.VALUE, "PointLight", F32),
     ("B9", Kind.VALUE, "float16", F64),
     ("A6", Kind.REFUSAL, "svd-ridge b6", F64),
@@ -47,6 +49,8 @@ QUICK = (
     "gaps unseen",
     "lights unchecked",
     "back faces reflect",
+    "texture coordinates as they come",
+    "bad pixels kept",
     "8-bit bases of one global range",
 )
 

@@ -148,7 +148,7 @@ def as_they_come(sound: Any) -> Any:
     return lambda scene, resolution: sound(scene, resolution) if scene.mesh.uv is None else None
 
 
-@mutant("bad pixels kept", "prt_bench.environment:_bad", "bad pixels", routes=(F64,))
+@mutant("bad pixels kept", "prt_bench.environment:_bad", "environment maps with bad pixels", routes=(F64,))
 def bad_pixels_kept(_: Any) -> Any:
     """One of them is all the light there is."""
     return lambda radiance: np.zeros(radiance.shape, bool)
