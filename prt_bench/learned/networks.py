@@ -86,5 +86,6 @@ def homogeneous(network: Network, head: Float[Array, "W B h"], x: Float[Array, "
     hidden = network(jnp.swapaxes(over(x, size), 1, 2))
     if len(head) == 1:
         return size * jnp.einsum("bh,nch->nbc", head[0], hidden, precision="highest")
-    hidden = jnp.broadcast_to(hidden, (len(x), len(head), hidden.shape[2]))
+    if hidden.shape[1] == 1:  # one product for all channels
+        return size * jnp.einsum("cbh,nh->nbc", head, hidden[:, 0], precision="highest")
     return size * jnp.einsum("cbh,nch->nbc", head, hidden, precision="highest")

@@ -62,7 +62,7 @@ class MlpCoefficients(Method):
         network = Network.random(first, [examples.x.shape[1]] + [self.width] * self.depth)
         head = jnp.zeros((len(linear.weights), self.basis, self.width), jnp.float32)
         trained = train(
-            (network, head), None, examples, held, _loss, _score, Schedule(epochs=self.epochs, rate=self.rate), second,
+            (network, head), None, examples, held, _loss, _score, Schedule(self.epochs, rate=self.rate, patience=20), second,
             self.label, Path(self.checkpoint) if self.checkpoint else None,
         )  # fmt: skip
         network, head = trained.weights
