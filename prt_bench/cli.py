@@ -204,7 +204,7 @@ def _doctor(_: argparse.Namespace) -> None:
 
 def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
     names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels",
-             "streamed", "measure_on")  # fmt: skip
+             "streamed", "measure_on", "node_rays", "node_tolerance")  # fmt: skip
     return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood)}
 
 
@@ -318,6 +318,8 @@ def _bake_options(made: argparse.ArgumentParser) -> None:
     made.add_argument("--tolerance", type=float, default=1e-4)
     made.add_argument("--gather-texels", type=int)
     made.add_argument("--streamed", type=int, default=0, help="further lightings kept as direct light alone")
+    made.add_argument("--node-rays", type=int, default=0, help="trace receivers at nodes only, with so many rays each")
+    made.add_argument("--node-tolerance", type=float, default=0.02, help="what interpolation between nodes may miss")
     made.add_argument("--measure-on", choices=("surface", "hull"), default="surface", help="where light is measured")
     made.add_argument("--ood", action="append", default=[], metavar="SCENARIO", help="another scenario to test on")
 
