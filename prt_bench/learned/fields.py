@@ -99,6 +99,7 @@ class FieldModel(Model):
     weights: Float[Array, "W B M1"]
     position: Float[Array, "T 3"]
     normal: Float[Array, "T 3"]
+    singular_values: Float[Array, " n"] | None = None
     curves: History | None = None
 
     def transfer(self, x: Float[Array, "N M C"]) -> Float[Array, "N B C"]:
@@ -132,6 +133,16 @@ class FieldModel(Model):
     def span(self) -> Float[Array, "T B"]:
         """The field at the receivers."""
         return self.field(self.position, self.normal)
+
+    @property
+    def basis(self) -> Float[Array, "T B"]:
+        """The same, as other models call it."""
+        return self.span
+
+    @property
+    def spectrum(self) -> Float[Array, " n"] | None:
+        """Singular values of the light that the closed form was fitted to."""
+        return self.singular_values
 
     @property
     def history(self) -> History:

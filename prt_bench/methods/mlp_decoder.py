@@ -95,7 +95,7 @@ class MlpDecoder(Method):
         found = _field(trained.weights, begun.box)
         position, normal = (part.astype(jnp.float64) for part in place)
         codes = _codes(found(position, normal), linear.basis, linear.weights)
-        return FieldModel(found, codes, position, normal, trained.history)
+        return FieldModel(found, codes, position, normal, linear.singular_values, trained.history)
 
 
 def _box(position: Float[Array, "T 3"]) -> Float[Array, "4"]:
