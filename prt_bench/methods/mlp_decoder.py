@@ -37,8 +37,9 @@ class MlpDecoder(Method):
     texel; its last layer begins as their least squares on random features. The code is then the least-squares answer for
     the field as it came out, u = φ⁺ U W x. `encoding` says what the network sees of a position besides itself: sines and
     cosines, or features of a grid that are trained with it. `loss` "relative" weighs dark texels like bright ones (see
-    `relative_square`). The training split says when to stop. `epochs` and `rate` are those of the `Schedule`. A file named by
-    `checkpoint` keeps the state of a training that is interrupted. The dataset must be baked with `streamed` lightings.
+    `relative_square`). All of the `Schedule` is run, since a field's error may rise before it falls; the weights that are best
+    for the training split are kept. `epochs` and `rate` are the schedule's. A file named by `checkpoint` keeps the state of a
+    training that is interrupted. The dataset must be baked with `streamed` lightings.
     """
 
     name: ClassVar[str] = "mlp-decoder"
@@ -89,7 +90,7 @@ class MlpDecoder(Method):
         loss = {"square": _square_loss, "relative": _relative_loss}[self.loss]
         trained = train(
             (begun.network, begun.head, begun.grids), (begun.box, jnp.sqrt(jnp.mean(texels.target**2))), texels,
-            (texels, coefficients), loss, _score, Schedule(self.epochs, 1024, self.rate, patience=20), second,
+            (texels, coefficients), loss, _score, Schedule(self.epochs, 1024, self.rate, patience=40), second,
             self.label, Path(self.checkpoint) if self.checkpoint else None,
         )  # fmt: skip
         found = _field(trained.weights, begun.box)

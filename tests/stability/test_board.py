@@ -119,7 +119,7 @@ def test_a_missed_goal_is_the_exit_status(monkeypatch, tmp_path):
     bad = Case(
         "X", "x", Kind.VALUE, lambda: {"s": None}, lambda _: [Member("m", 0)], lambda *_: [Measured(2, 1)], (F64,)
     )
-    monkeypatch.setattr(board, "selected", lambda keys: [bad])
+    monkeypatch.setattr(board, "cases", lambda: (bad,))
     assert main(["stability"]) == 1
 
 
