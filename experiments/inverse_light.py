@@ -27,8 +27,8 @@ from scipy.optimize import minimize
 import prt_bench as prt
 from data_gen.direct import visibility
 from data_gen.tracer import Tracer
-from prt_bench.chain import measured_light
-from prt_bench.lights import Lighting, PointLight, emitters
+from prt_bench.emitters import Emitters, irradiance
+from prt_bench.lights import PointLight
 from prt_bench.linalg import orthonormal
 from prt_bench.models import LinearModel
 
@@ -60,9 +60,14 @@ class Problem:
         self.extent = float(ds.scene.extent)
 
     def answers(self, places: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        """Coefficients [L, K, B] and what white light of intensity 1 would be worth in each channel [L, K, 3]."""
-        lights = [Lighting((PointLight(place, jnp.ones(3)),)) for place in places.reshape(-1, 3)]
-        white = self.model.transfer(measured_light(self.ds, lights, seen)[..., :1] * jnp.ones(3))
+        """Coefficients [L, K, B, C] of white light of intensity 1 at each place, and the colour [L, K, C] that fits best."""
+        points = self.ds.dense_points
+
+        def measured(lit: Emitters, sees: jax.Array | None) -> jax.Array:
+            light = irradiance(lit, points.position, points.normal, sees)
+            return jnp.mean(light[self.ds.groups], axis=1)
+
+        white = self.model.transfer(jax.vmap(measured)(_lights(places), seen))
         found = jnp.einsum("ab,nbc->nac", self.mixing, white).reshape(*places.shape[:2], -1, 3)
         along = jnp.sum(found * self.targets[:, None], axis=2)
         return found, jnp.maximum(along, 0.0) / jnp.maximum(jnp.sum(found**2, axis=2), 1e-30)
@@ -75,8 +80,12 @@ class Problem:
 
     def seen(self, places: jax.Array) -> jax.Array:
         """Which measurement points see each light."""
-        lights = [Lighting((PointLight(np.asarray(place), np.ones(3)),)) for place in np.asarray(places).reshape(-1, 3)]
-        return jnp.asarray(visibility(self.tracer, self.ds.dense_points, emitters(lights)))
+        return jnp.asarray(visibility(self.tracer, self.ds.dense_points, _lights(jnp.asarray(places))))
+
+
+def _lights(places: jax.Array) -> Emitters:
+    """White point lights of intensity 1, one for each place: what `prt_bench.chain` makes of a list of them, at once."""
+    return jax.vmap(lambda place: PointLight(place, jnp.ones(3)).emitters())(places.reshape(-1, 3))
 
 
 def by_gradient(problem: Problem, starts: np.ndarray, steps: int, shadows: bool = True) -> np.ndarray:

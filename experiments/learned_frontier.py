@@ -164,7 +164,7 @@ def draw(path: Path, rows: list[dict]) -> None:
                 chosen = [row for row in rows if row["label"].startswith(kind)]
                 mean, low, high = np.array([row[split] for row in chosen]).T
                 x = [row[cost] for row in chosen]
-                axes.plot(x, mean, style, markersize=5, label=kind)
+                axes.plot(x, mean, style if cost != "fit_seconds" else style[0], markersize=5, label=kind)
                 axes.vlines(x, low, high, color=axes.lines[-1].get_color(), linewidth=1.5)
             axes.set(xscale="log", yscale="log", xlabel=title)
         line[0].set_ylabel(f"{split}: relative RMSE")
