@@ -60,7 +60,7 @@ def _trained() -> dict[str, Method]:
 def through_training(method: Method, rig: Rig, route: Route) -> bool:
     """H1: what trains by gradient steps does not pass off the derivative of something else as that of its fit."""
     light = jnp.asarray(rig.train.measured), jnp.asarray(rig.train.indirect)
-    jax.grad(lambda x: jnp.sum(method.fit(dataset(x, light[1])).predict(rig.test)))(light[0])  # pyright: ignore[reportArgumentType]
+    jax.grad(lambda x: jnp.sum(method.fit(relit(rig.train, x, light[1])).predict(rig.test)))(light[0])  # pyright: ignore[reportArgumentType]
     return False
 
 
