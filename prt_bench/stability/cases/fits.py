@@ -176,7 +176,11 @@ def _low_rank(route: Route) -> Iterator[Member]:
 
 
 _LEARN_ELSEWHERE = ("reduced-rank", "streamed-ridge")
-"""Methods with a ridge that fit streamed lightings besides the rig's, whose light the rig's measurements do not determine."""
+"""Methods with a ridge that fit streamed lightings besides the rig's, whose light the rig's measurements do not determine.
+
+Learned methods have no ridge, train on streamed lightings too, and are not asked: on this family `mlp-coefficients` and
+`linear-finetuned` miss the bound (0.04 where rounding is allowed).
+"""
 
 
 def _fitting() -> dict[str, Method]:
