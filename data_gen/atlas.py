@@ -7,6 +7,7 @@ when its square overlaps a triangle, so every chart has receivers and a hit alwa
 import logging
 from importlib.metadata import version
 from io import BytesIO
+from math import ceil, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -17,41 +18,69 @@ from scipy.sparse.csgraph import connected_components
 
 from data_gen.journal import content_key, write_whole
 from data_gen.raster import overlaps, rasterise
-from prt_bench.errors import SceneError
+from prt_bench.errors import SceneError, SpecError
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
 
 PADDING = 2
 """Empty texels between charts at least: room for lookups half a texel off a chart, on either side."""
+MOST_MIPS = 4
 _FIT_STEPS = 12
 _NO_CHART = -1
 _VERSION = 1  # raise when the same scene would be cut into other charts
 _log = logging.getLogger(__name__)
 
 
-def unwrap(scene: Scene, resolution: int, folder: Path | None = None) -> Lightmap:
+def unwrap(
+    scene: Scene, resolution: int, folder: Path | None = None, mips: int = 0, texture_set: bool = False
+) -> Lightmap:
     """The lightmap of a scene, `resolution` texels on a side; the same every time.
 
     Charts do not depend on the resolution, and cutting 75,000 triangles into them takes a minute: `folder` keeps them.
 
     The scene's texture coordinates are used when they lie in [0, 1], no face is degenerate in them, and no texel is
     shared by two charts or overlapping faces; otherwise xatlas makes charts and packs them as large as fits. The log
-    (INFO) says which. Faces that no chart can hold belong to chart −1. Raises `SceneError` when the charts do not fit.
+    (INFO) says which. Faces that no chart can hold belong to chart −1.
+
+    `mips` halvings of the image leave charts apart (`padding`). In a `texture_set` every material has a square of its own,
+    all of one size, in which its charts are as large as fits: small objects get as many texels as large ones. Either makes
+    xatlas pack the charts. Raises `SceneError` when the charts do not fit, `SpecError` when the image cannot be halved so
+    often.
     """
     if resolution < 4:
         raise SceneError(f"a lightmap of {resolution} texels a side is too small; use at least 4")
-    flaw = _flaw_of_own_atlas(scene, resolution)
+    check_mips(resolution, mips)
+    flaw = "that was asked for" if mips or texture_set else _flaw_of_own_atlas(scene, resolution)
     if flaw is None:
         corner_uv, chart = np.asarray(scene.mesh.uv, float), _components(scene)
         _log.info("%s: keeps its own texture coordinates as atlas", scene.name)
     else:
-        corner_uv, chart = _pack(*_charts(scene, folder), resolution, scene.name)
+        charts = _charts(scene, folder)
+        corner_uv, chart = (_pack_set if texture_set else _pack)(*charts, scene, resolution, mips)
         _log.info("%s: unwrapped into %d charts, because %s", scene.name, chart.max() + 1, flaw)
     lost = int(np.sum(chart == _NO_CHART))
     if lost:
         _log.warning("%s: %d faces of zero area in the atlas receive no light", scene.name, lost)
     texel, _, _ = rasterise(corner_uv, chart >= 0, resolution)
-    return Lightmap(resolution, texel, corner_uv, chart)
+    return Lightmap(resolution, texel, corner_uv, chart, mips)
+
+
+def check_mips(resolution: int, mips: int) -> None:
+    """Raise `SpecError` unless a lightmap of this many texels a side can be halved so often."""
+    if not 0 <= mips <= MOST_MIPS or resolution % 2**mips:
+        raise SpecError(
+            f"{mips} mip levels were asked for, but a lightmap of {resolution}² texels can have from 0 to"
+            f" {min(MOST_MIPS, (resolution & -resolution).bit_length() - 1)}"
+        )
+
+
+def padding(mips: int) -> int:
+    """Empty texels between charts that `mips` halvings of the image need.
+
+    In an image halved L times, a lookup on a chart reads at most one texel beyond the one that the chart ends in. They are
+    2^L texels wide, so they hold up to 2 · 2^L − 1 texels beyond the chart, on either side.
+    """
+    return 2 ** (mips + 2) - 2
 
 
 def lightmap_points(scene: Scene, lightmap: Lightmap) -> SurfacePoints:
@@ -135,8 +164,35 @@ def _parametrise(scene: Scene) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarr
     return corner_uv, held
 
 
+def _pack_set(
+    corner_uv: Float[np.ndarray, "F 3 2"], held: np.ndarray, scene: Scene, resolution: int, mips: int
+) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
+    """Charts of each material packed into a square of its own; the squares lie in rows."""
+    owner = scene.mesh.material
+    objects = np.unique(owner[held])
+    across = ceil(sqrt(len(objects)))
+    side = resolution // across
+    margin = padding(mips) // 2  # charts may touch the borders of what they are packed into
+    inside = side - 2 * margin
+    if inside < 4:
+        raise SceneError(
+            f"'{scene.name}' has {len(objects)} materials, and squares of {side}² texels leave them none between"
+            f" margins of {margin}; ask for more texels" + f", or fewer mip levels than {mips}" * (mips > 0)
+        )
+    out_uv, out_chart, charts = np.zeros_like(corner_uv), np.full(len(corner_uv), _NO_CHART, np.int32), 0
+    for place, index in enumerate(objects):
+        mine = held & (owner == index)
+        uv, chart = _pack(corner_uv, mine, scene, inside, mips)
+        row, column = divmod(place, across)
+        corner = np.array([column, row]) * side + margin
+        out_uv[mine] = (uv[mine] * inside + corner) / resolution
+        out_chart[mine] = chart[mine] + charts
+        charts += chart.max() + 1
+    return out_uv, out_chart
+
+
 def _pack(
-    corner_uv: Float[np.ndarray, "F 3 2"], held: np.ndarray, resolution: int, name: str
+    corner_uv: Float[np.ndarray, "F 3 2"], held: np.ndarray, scene: Scene, resolution: int, mips: int
 ) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]]:
     """Place charts into the unit square at the largest common scale that fits, by bisection over texels per metre."""
     flat = corner_uv[held].reshape(-1, 2)
@@ -146,7 +202,7 @@ def _pack(
     low, high, best = np.log(0.05 * resolution / side), np.log(resolution / side), None
     for _ in range(_FIT_STEPS):
         density = np.exp(low if best is None else 0.5 * (low + high))
-        packed = _try_packing(vertices, faces, resolution, density)
+        packed = _try_packing(vertices, faces, resolution, density, padding(mips))
         if packed is not None:
             best, low = packed, np.log(density)
         elif best is None:
@@ -154,21 +210,24 @@ def _pack(
         else:
             high = np.log(density)
     if best is None:
-        raise SceneError(f"the charts of '{name}' do not fit a lightmap of {resolution}² texels; ask for more texels")
+        raise SceneError(
+            f"the charts of '{scene.name}' do not fit {resolution}² texels; ask for more texels"
+            + f", or fewer mip levels than {mips}" * (mips > 0)
+        )
     out_uv, out_chart = np.zeros_like(corner_uv), np.full(len(corner_uv), _NO_CHART, np.int32)
     out_uv[held], out_chart[held] = best
     return out_uv, out_chart
 
 
 def _try_packing(
-    vertices: np.ndarray, faces: np.ndarray, resolution: int, density: float
+    vertices: np.ndarray, faces: np.ndarray, resolution: int, density: float, apart: int
 ) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]] | None:
     """Coordinates and chart of every face when all charts fit one square at this density, else None."""
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(vertices, faces)
     options = xatlas.PackOptions()
     options.resolution, options.texels_per_unit = resolution, density
-    options.padding = PADDING // 2  # xatlas pads every chart on all sides
+    options.padding = apart // 2  # xatlas pads every chart on all sides
     options.bruteForce = resolution <= 512  # slow on larger squares, and gains nothing there
     atlas.generate(xatlas.ChartOptions(), options)
     if atlas.atlas_count != 1:

@@ -55,6 +55,8 @@ def bake(
     vertices: bool = False,
     node_rays: int = 0,
     node_tolerance: float = 0.02,
+    mips: int = 0,
+    texture_set: bool = False,
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -79,6 +81,9 @@ def bake(
     is computed everywhere, and gather samples keep `rays`. It pays on large lightmaps of large faces, not on curved meshes,
     each of whose faces is refined on its own.
 
+    `mips` levels of the lightmap can be halved for frames seen from afar, which takes texels from between charts; in a
+    `texture_set` every material has a square of the lightmap, all of one size (`data_gen.atlas`).
+
     Raises `SpecError`, `SceneError`, `LightError` or `DatasetError` for what the user can mend.
     """
     started = time.perf_counter()
@@ -102,11 +107,14 @@ def bake(
         vertices,
         node_rays,
         node_tolerance,
+        mips,
+        texture_set,
     )
     if layout is not None:
         if "hull" in (measure_on, layout.metadata.get("measure_on")):
             raise SpecError("a hull has no places that another pose could keep; measure poses on the surface")
-        _check_layout(scene, layout, {"texels": texels, "measurements": measurements, "supersampling": supersampling})
+        shared = {"texels": texels, "measurements": measurements, "supersampling": supersampling}
+        _check_layout(scene, layout, {**shared, "mips": mips, "texture_set": texture_set})
     atlas = None if layout is None else layout.transport
     folder = Path(out) if out is not None else data_folder()
     about = {
@@ -178,6 +186,8 @@ def bake(
             "gather_texels": settings.gather_texels,
             "rays": rays,
             **({"node_rays": node_rays, "node_tolerance": node_tolerance} if node_rays else {}),
+            **({"mips": mips} if mips else {}),
+            **({"texture_set": True} if texture_set else {}),
             "bounces": transport.bounces,
             "effects": list(settings.effects),
             "plan": settings.to_json(),
@@ -250,8 +260,9 @@ def _check_layout(scene: Scene, layout: LightingDataset, settings: Mapping[str, 
             f"scene '{scene.name}' is not a pose of the layout's mesh: their faces differ; give every keyframe the same faces"
         )
     for name, value in settings.items():
-        if layout.metadata[name] != value:
-            raise SpecError(f"{name} is {value}, but the layout has {layout.metadata[name]}; all keyframes share them")
+        kept = layout.metadata.get(name, 0)
+        if kept != value:
+            raise SpecError(f"{name} is {value}, but the layout has {kept}; all keyframes share them")
 
 
 def _create(group: zarr.Group, light: LightPass, training: int, receivers: int) -> dict[str, zarr.Array]:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from data_gen.atlas import check_mips, padding
 from data_gen.hull import check_hull
 from data_gen.sampling import check_measurements
 from data_gen.scenarios import check_scenario
@@ -70,6 +71,8 @@ class Plan:
     cost: Cost
     node_rays: int = 0
     node_tolerance: float = 0.0
+    mips: int = 0
+    texture_set: bool = False
 
     def needs_shadow_rays(self, scene: Scene, emitters: Emitters) -> bool:
         """False only where nothing can stand between these emitters and a surface they face."""
@@ -118,11 +121,13 @@ def plan(
     vertices: bool = False,
     node_rays: int = 0,
     node_tolerance: float = 0.02,
+    mips: int = 0,
+    texture_set: bool = False,
 ) -> Plan:
     """Decide what baking `scene` needs.
 
-    `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light; `node_rays`
-    and `node_tolerance` are those of `bake`. Raises
+    `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light; `node_rays`,
+    `node_tolerance`, `mips` and `texture_set` are those of `bake`. Raises
     `SpecError` for settings that cannot be baked and `SceneError` for more measurement points than the surface can hold,
     or for a hull where there is no body.
     """
@@ -146,6 +151,8 @@ def plan(
     for name, value in (("tolerance", tolerance), ("node_tolerance", node_tolerance)):
         if not 0 < value < 1:
             raise SpecError(f"{name} is {value}, but it must lie between 0 and 1")
+
+    check_mips(texels, mips)
 
     convex = _convexity(scene)
     channels = 1 if scene.achromatic else 3
@@ -194,9 +201,13 @@ def plan(
     )
     if vertices:
         decisions += (Decision("vertices", "traced", "as asked, for transfer that is stored there"),)
+    if mips:
+        decisions += (Decision("mip levels", str(mips), f"as asked: charts lie {padding(mips)} texels apart"),)
+    if texture_set:
+        decisions += (Decision("lightmap", "a texture set", "as asked: every material has a square of its own"),)
     draft = Plan(
         texels, gather, rays, bounces, tolerance, channels, convex, (), vertices, decisions, Cost(0, 0, 0, 0, 0.0),
-        node_rays, node_tolerance,
+        node_rays, node_tolerance, mips, texture_set,
     )  # fmt: skip
     count = lightings + max(16, ceil(lightings / 4)) + 16 * len(ood)
     dense = measurements * supersampling

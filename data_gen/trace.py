@@ -42,6 +42,8 @@ def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | N
             "effects": settings.effects,
             **({"vertices": True} if settings.vertices else {}),
             **({"nodes": [settings.node_rays, settings.node_tolerance]} if settings.node_rays else {}),
+            **({"mips": settings.mips} if settings.mips else {}),
+            **({"texture_set": True} if settings.texture_set else {}),
             "seed": seed,
         }
     )
@@ -58,7 +60,8 @@ def trace(
     path = folder / f"transport-{scene.name}-{key}.zarr"
     if path.is_dir():
         return Transport.open(path)
-    lightmap = unwrap(scene, settings.texels, folder) if layout is None else layout.lightmap
+    chosen = (settings.mips, settings.texture_set)
+    lightmap = unwrap(scene, settings.texels, folder, *chosen) if layout is None else layout.lightmap
     receivers = lightmap_points(scene, lightmap)
     shared = settings.gather_texels == settings.texels
     home = scene if layout is None else layout.scene

@@ -204,7 +204,7 @@ def _doctor(_: argparse.Namespace) -> None:
 
 def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
     names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels",
-             "streamed", "measure_on", "node_rays", "node_tolerance")  # fmt: skip
+             "streamed", "measure_on", "vertices", "node_rays", "node_tolerance", "mips", "texture_set")  # fmt: skip
     return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood)}
 
 
@@ -320,6 +320,9 @@ def _bake_options(made: argparse.ArgumentParser) -> None:
     made.add_argument("--streamed", type=int, default=0, help="further lightings kept as direct light alone")
     made.add_argument("--node-rays", type=int, default=0, help="trace receivers at nodes only, with so many rays each")
     made.add_argument("--node-tolerance", type=float, default=0.02, help="what interpolation between nodes may miss")
+    made.add_argument("--vertices", action="store_true", help="trace vertices too, for transfer stored there")
+    made.add_argument("--mips", type=int, default=0, help="how often the lightmap can be halved for far views")
+    made.add_argument("--texture-set", action="store_true", help="a square of the lightmap for each material")
     made.add_argument("--measure-on", choices=("surface", "hull"), default="surface", help="where light is measured")
     made.add_argument("--ood", action="append", default=[], metavar="SCENARIO", help="another scenario to test on")
 

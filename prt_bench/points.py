@@ -35,13 +35,15 @@ class Lightmap(eqx.Module):
 
     `resolution` is the side in texels, `texel` [T] the flat index (row · resolution + column, row 0 at v = 0) of each
     receiver, `corner_uv` [F, 3, 2] the lightmap coordinates of every face corner in [0, 1], `chart` [F] the atlas chart
-    each face belongs to.
+    each face belongs to. Charts are so far apart that images can be halved `mips` times, each time averaging four texels,
+    without light of one chart reaching another's lookups.
     """
 
     resolution: int
     texel: Int[np.ndarray, " T"]
     corner_uv: Float[np.ndarray, "F 3 2"]
     chart: Int[np.ndarray, " F"]
+    mips: int = 0
 
     def image(self, values: Float[np.ndarray, "T C"], fill: float = 0.0) -> Float[np.ndarray, "H W C"]:
         """Scatter receiver values into the lightmap; uncovered texels hold `fill`."""

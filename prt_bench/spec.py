@@ -35,6 +35,8 @@ class BakeSpec:
     vertices: bool = False
     node_rays: int = 0
     node_tolerance: float = 0.02
+    mips: int = 0
+    texture_set: bool = False
 
 
 @dataclass(frozen=True)

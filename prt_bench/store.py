@@ -49,15 +49,16 @@ def read_points(group: zarr.Group, name: str) -> SurfacePoints:
 def write_lightmap(group: zarr.Group, name: str, lightmap: Lightmap) -> None:
     """Store a lightmap's layout as a subgroup."""
     child = group.require_group(name)
-    child.attrs["resolution"] = lightmap.resolution
+    child.attrs.update({"resolution": lightmap.resolution, "mips": lightmap.mips})
     for field in ("texel", "corner_uv", "chart"):
         write_array(child, field, getattr(lightmap, field))
 
 
 def read_lightmap(group: zarr.Group, name: str) -> Lightmap:
     """The inverse of `write_lightmap`."""
-    resolution = int(group[name].attrs["resolution"])
-    return Lightmap(resolution, *(_array(group, f"{name}/{field}") for field in ("texel", "corner_uv", "chart")))
+    attributes = group[name].attrs
+    arrays = (_array(group, f"{name}/{field}") for field in ("texel", "corner_uv", "chart"))
+    return Lightmap(int(attributes["resolution"]), *arrays, mips=int(attributes.get("mips", 0)))
 
 
 def write_scene(group: zarr.Group, scene: Scene) -> None:

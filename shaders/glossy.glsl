@@ -17,7 +17,7 @@ vec3 gloss_of_surfaces(vec2 uv, float lobe_at[HARMONICS]) {
     vec3 sum = vec3(0.0);
     for (int layer = 0; layer < LAYERS; ++layer) {
         vec4 four = vec4(padded[4 * layer], padded[4 * layer + 1], padded[4 * layer + 2], padded[4 * layer + 3]);
-        for (int c = 0; c < 3; ++c) sum[c] += dot(four, textureLod(basis, vec3(uv, BOUNCED + c * LAYERS + layer), 0.0));
+        for (int c = 0; c < 3; ++c) sum[c] += dot(four, stored(uv, BOUNCED + c * LAYERS + layer));
     }
     return sum;
 }
@@ -28,7 +28,7 @@ vec3 gloss(vec2 uv, vec3 mirror, float exponent) {
     harmonics(mirror, lobe_at);
     lobe(exponent, lobe_at);
     for (int layer = 0; layer < LAYERS; ++layer) {
-        vec4 four = textureLod(basis, vec3(uv, VISIBLE + layer), 0.0);
+        vec4 four = stored(uv, VISIBLE + layer);
         transfer[4 * layer] = four.x;
         transfer[4 * layer + 1] = four.y;
         transfer[4 * layer + 2] = four.z;

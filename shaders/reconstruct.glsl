@@ -7,6 +7,7 @@
 // RECONSTRUCT_VERTICES what was found at the vertices, interpolated by the rasteriser
 // RECONSTRUCT_FIELD    Σ_b u_b φ_b, the functions from a network of the place on the surface
 // BOUNCED adds what surfaces send under fixed light: for each channel, harmonics in layers from this one on.
+// MIPS reads halved images where a frame shows many texels in a pixel.
 // GAMMA takes the sum back along the curve, times the size in the last coefficient.
 #ifdef GAMMA
 #include "gamma.glsl"
@@ -16,6 +17,14 @@
 in vec3 vertex_light;
 #else
 layout(binding = 1) uniform sampler2DArray basis;
+
+vec4 stored(vec2 uv, int layer) {
+#ifdef MIPS
+    return texture(basis, vec3(uv, layer));
+#else
+    return textureLod(basis, vec3(uv, layer), 0.0);
+#endif
+}
 #endif
 
 #if !defined(RECONSTRUCT_LIGHTMAP) && !defined(RECONSTRUCT_VERTICES)
@@ -32,11 +41,11 @@ vec3 reconstruction(vec2 uv) {
     for (int layer = 0; layer < LAYERS; ++layer) {
         int b = 4 * layer;
         mat4x3 block = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
-        sum += block * textureLod(basis, vec3(uv, layer), 0.0);
+        sum += block * stored(uv, layer);
     }
 #ifdef BOUNCED
     const float sqrt_4pi = 3.5449077018110318;
-    for (int c = 0; c < 3; ++c) sum[c] += sqrt_4pi * textureLod(basis, vec3(uv, BOUNCED + c * LAYERS), 0.0).x;
+    for (int c = 0; c < 3; ++c) sum[c] += sqrt_4pi * stored(uv, BOUNCED + c * LAYERS).x;
 #endif
     return sum;
 #elif defined(RECONSTRUCT_COUPLED)
@@ -44,7 +53,7 @@ vec3 reconstruction(vec2 uv) {
     for (int layer = 0; layer < LAYERS; ++layer) {
         int b = 4 * layer;
         vec4 u = vec4(coefficients[b].r, coefficients[b + 1].r, coefficients[b + 2].r, coefficients[b + 3].r);
-        for (int c = 0; c < 3; ++c) sum[c] += dot(u, textureLod(basis, vec3(uv, c * LAYERS + layer), 0.0));
+        for (int c = 0; c < 3; ++c) sum[c] += dot(u, stored(uv, c * LAYERS + layer));
     }
     return sum;
 #elif defined(RECONSTRUCT_CHANNELS)
@@ -53,18 +62,18 @@ vec3 reconstruction(vec2 uv) {
         int b = 4 * layer;
         mat4x3 u = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
         mat3x4 by_channel = transpose(u);
-        for (int c = 0; c < 3; ++c) sum[c] += dot(by_channel[c], textureLod(basis, vec3(uv, c * LAYERS + layer), 0.0));
+        for (int c = 0; c < 3; ++c) sum[c] += dot(by_channel[c], stored(uv, c * LAYERS + layer));
     }
     return sum;
 #elif defined(RECONSTRUCT_SELECT)
     vec3 column;
     for (int c = 0; c < 3; ++c) {
         int choice = int(coefficients[1][c]);
-        column[c] = textureLod(basis, vec3(uv, choice / 4), 0.0)[choice % 4];
+        column[c] = stored(uv, choice / 4)[choice % 4];
     }
     return column * coefficients[0].rgb;
 #elif defined(RECONSTRUCT_LIGHTMAP)
-    return textureLod(basis, vec3(uv, 0.0), 0.0).rgb;
+    return stored(uv, 0).rgb;
 #elif defined(RECONSTRUCT_VERTICES)
     return vertex_light;
 #elif defined(RECONSTRUCT_FIELD)

@@ -49,12 +49,16 @@ class Indirect(ABC):
     @cached_property
     def draw_pass(self) -> DrawPass:
         """Direct and indirect light; compiled on first use."""
-        return self.runtime.draw_pass({"DIRECT": 1, "INDIRECT": 1, **self._kernel})
+        return self.runtime.draw_pass({"DIRECT": 1, **self._drawn})
 
     @cached_property
     def draw_pass_alone(self) -> DrawPass:
         """Indirect light alone."""
-        return self.runtime.draw_pass({"INDIRECT": 1, **self._kernel})
+        return self.runtime.draw_pass(self._drawn)
+
+    @property
+    def _drawn(self) -> shaders.Defines:
+        return {"INDIRECT": 1, **self._kernel, **({"MIPS": 1} if self.runtime.layout.mips else {})}
 
 
 class BasisTexture:
@@ -75,8 +79,9 @@ class BasisTexture:
 
     @property
     def bytes(self) -> int:
-        """GPU memory in bytes, padded texels included."""
-        return int(np.prod(self.texture.size)) * self.texture.components * int(self.texture.dtype[1])
+        """GPU memory in bytes, padded texels and halved images included."""
+        texels = sum(4.0**-level for level in range(self._runtime.layout.mips + 1)) * np.prod(self.texture.size)
+        return int(texels) * self.texture.components * int(self.texture.dtype[1])
 
     def receiver_values(self, source: Indirect, kernel: shaders.Defines) -> Float[np.ndarray, "T 3"]:
         """What `source` shows at the receivers with the coefficients it has now, W/m²."""

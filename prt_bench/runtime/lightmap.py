@@ -16,6 +16,7 @@ class LightmapLayout:
         self._context = context
         self.resolution = lightmap.resolution
         self.receivers = len(lightmap.texel)
+        self.mips = lightmap.mips
         self.texels = lightmap.texel
         self._source = nearest_receiver(lightmap, buried)
 
@@ -35,6 +36,9 @@ class LightmapLayout:
             block[:, : part.shape[1]] = part[self._source]
             block[:, part.shape[1] :] = 0
             texture.write(block.tobytes(), viewport=(0, 0, layer, self.resolution, self.resolution, 1))
+        if self.mips:
+            texture.build_mipmaps(max_level=self.mips)
+            texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         return texture
 
 

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_cdt
 
 from data_gen.atlas import PADDING, lightmap_points, unwrap
 from data_gen.geometry import Part, assemble, quad, with_both_sides
 from data_gen.raster import rasterise
 from data_gen.scenes import load_scene
-from prt_bench.errors import SceneError
+from prt_bench.errors import SceneError, SpecError
 from prt_bench.scene import Camera, Material, Scene
 
 CAMERA = Camera((0, 0, 3), (0, 0, 0))
@@ -76,16 +77,53 @@ def test_points_lie_on_the_surface_inside_their_texel_or_chart(unwrapped):
     assert np.mean(np.abs(place - centre).max(axis=1) < 0.06) > 0.5  # most are the centre itself
 
 
+def least_gap(lightmap, points):
+    """Empty texels between the two charts that come nearest to each other, along the axis where they are farther apart."""
+    chart = lightmap.image(lightmap.chart[points.face].reshape(-1, 1), -1)[..., 0]
+    gaps = []
+    for own in np.unique(chart[chart >= 0]):
+        to_others = distance_transform_cdt((chart < 0) | (chart == own), "chessboard")
+        gaps.append(to_others[chart == own].min() - 1)
+    return min(gaps)
+
+
 def test_charts_keep_their_distance(unwrapped):
     _, lightmap, points = unwrapped
-    side = lightmap.resolution
-    chart = np.full((side + 2 * PADDING, side + 2 * PADDING), -1)
-    chart[PADDING:-PADDING, PADDING:-PADDING].flat[lightmap.texel] = lightmap.chart[points.face]
-    inner = chart[PADDING:-PADDING, PADDING:-PADDING]
-    for dy in range(-PADDING, PADDING + 1):
-        for dx in range(-PADDING, PADDING + 1):
-            other = chart[PADDING + dy : PADDING + dy + side, PADDING + dx : PADDING + dx + side]
-            assert not np.any((inner >= 0) & (other >= 0) & (inner != other))
+    assert least_gap(lightmap, points) >= PADDING
+
+
+@pytest.mark.parametrize("texture_set", [False, True])
+@pytest.mark.parametrize("mips", [1, 2])
+def test_halved_images_keep_charts_apart(mips, texture_set):
+    """A bilinear lookup in the halved image reads two texels of it, and no two charts share either."""
+    scene = load_scene("objects")
+    lightmap = unwrap(scene, 256, mips=mips, texture_set=texture_set)
+    assert lightmap.mips == mips
+    assert least_gap(lightmap, lightmap_points(scene, lightmap)) >= 2 * (2 * 2**mips - 1)
+
+
+def test_a_texture_set_gives_every_material_a_square():
+    scene = load_scene("objects")
+    lightmap = unwrap(scene, 192, texture_set=True)
+    owner = scene.mesh.material[lightmap_points(scene, lightmap).face]
+    column, row = lightmap.texel % 192 // 64, lightmap.texel // 192 // 64
+    square = 3 * row + column
+    assert all(len(np.unique(square[owner == index])) == 1 for index in np.unique(owner))
+    assert len(np.unique(square)) == len(np.unique(owner)) == 6
+    areas = np.bincount(scene.mesh.material, scene.mesh.areas)
+    texels = np.bincount(owner)
+    assert texels.max() / texels.min() < 0.4 * areas.max() / areas.min()
+
+
+@pytest.mark.parametrize(("texels", "mips"), [(100, 3), (128, 5), (128, -1)])
+def test_an_image_that_cannot_be_halved_is_refused(texels, mips):
+    with pytest.raises(SpecError, match="mip levels were asked for, but a lightmap of"):
+        unwrap(load_scene("cornell"), texels, mips=mips)
+
+
+def test_squares_without_room_are_refused():
+    with pytest.raises(SceneError, match="or fewer mip levels than 3"):
+        unwrap(load_scene("objects"), 64, mips=3, texture_set=True)
 
 
 def test_texels_have_one_size(unwrapped):

@@ -123,6 +123,19 @@ def test_relighting_gives_what_the_bake_gave(dataset: prt.LightingDataset) -> No
     np.testing.assert_array_equal(again.measured, test.measured[:3])
 
 
+def test_a_lightmap_keeps_how_it_was_laid_out(scene: prt.Scene, dataset: prt.LightingDataset, tmp_path: Path) -> None:
+    larger = {**SMALL, "texels": 96, "rays": 2}
+    set_, halved = (prt.bake(scene, **larger, mips=1, texture_set=chosen, out=tmp_path) for chosen in (True, False))
+    assert set_.lightmap.mips == halved.lightmap.mips == 1
+    assert (set_.metadata["mips"], set_.metadata["texture_set"]) == (1, True)
+    assert set_.transport.key != halved.transport.key
+    assert not {"mips", "texture_set"} & set(dataset.metadata)
+    with pytest.raises(SpecError, match="mips is 0, but the layout has 1"):
+        prt.bake(scene, **larger, texture_set=True, layout=set_, out=tmp_path)
+    posed = prt.bake(scene, **larger, mips=1, texture_set=True, layout=set_, out=tmp_path)
+    assert np.array_equal(posed.lightmap.texel, set_.lightmap.texel)
+
+
 def test_darkness_is_black_and_finite(dataset: prt.LightingDataset) -> None:
     dark = prt.light(dataset, [prt.Lighting(()), prt.Lighting((prt.PointLight([0, 1, 0], [0.0, 0.0, 0.0]),))])
     assert not dark.direct.any()
