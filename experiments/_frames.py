@@ -88,8 +88,12 @@ def frames(
 def draw(path: Path, rows: Sequence[Row], exposed_as: Callable[[str], str] = lambda title: "reference") -> None:
     """All rows in one picture, each frame exposed as the one in its row that `exposed_as` names for its title."""
     columns = max(len(row.frames) for row in rows)
-    size = (2.35 * columns + 0.2, 2.6 * len(rows) + 0.15)
-    figure, grid = plt.subplots(len(rows), columns, figsize=size, dpi=100, layout="constrained", squeeze=False)
+    shapes = [next(iter(row.frames.values())).shape for row in rows]
+    heights = [2.2 * height / width + 0.4 for height, width, _ in shapes]
+    figure, grid = plt.subplots(
+        len(rows), columns, figsize=(2.35 * columns + 0.2, sum(heights) + 0.15), dpi=100, layout="constrained",
+        squeeze=False, height_ratios=heights,
+    )  # fmt: skip
     for number, (line, row) in enumerate(zip(grid, rows, strict=True)):
         for axes in line[len(row.frames) :]:
             axes.set_axis_off()
