@@ -91,7 +91,7 @@ class Transport:
         exposed = np.zeros(len(self.nodes.points), bool)
         return replace(self, receivers=self.nodes.points, buried=exposed, sampler=self.nodes.sampler, nodes=None)
 
-    def spread(self, values: Float[np.ndarray, "J *rest"], rows: slice = slice(None)) -> Float[np.ndarray, "t *rest"]:
+    def spread(self, values: Float[np.ndarray, "J *rest"], rows: slice = slice(None)) -> Float[np.ndarray, "t *rest"]:  # noqa: F821  (names of dimensions)
         """Values at the receivers `rows` from those at the receivers of `traced`; where every receiver was traced, its own."""
         if self.nodes is None:
             return values[rows]

@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -230,3 +232,11 @@ def test_shaders_begin_with_what_they_do(path: Path):
 )
 def test_the_rules_catch(rule: Callable[[str], object], source: str):
     assert rule(source)
+
+
+def test_the_linter_is_silent():
+    """Among its rules: no name is undefined."""
+    done = subprocess.run(
+        [sys.executable, "-m", "ruff", "check", str(ROOT)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout
