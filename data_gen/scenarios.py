@@ -176,13 +176,18 @@ SCENARIOS = tuple(_PROPOSALS)
 """Names of the scenarios."""
 
 
+def near_region(scene: Scene) -> Float[np.ndarray, "2 3"]:
+    """Lowest and highest corner of the box that places of near lights are drawn from; those inside bodies are left out."""
+    margin = _MARGIN * np.ptp(scene.bounds, axis=0).max()
+    return scene.bounds + np.array([[-margin], [margin]])
+
+
 def _free_places(
     scene: Scene, tracer: Tracer, unit: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 3"], np.ndarray, Float[np.ndarray, " n"]]:
     """Places that stand free and face fronts of surfaces, their rows of `unit`, and their distance to the scene."""
-    low, high = scene.bounds
-    margin = _MARGIN * (high - low).max()
-    place = low - margin + unit[:, :3] * (high - low + 2.0 * margin)
+    low, high = near_region(scene)
+    place = low + unit[:, :3] * (high - low)
     clearance = tracer.clearance(place)
     free = (clearance >= _CLEARANCE * scene.extent) & np.isfinite(clearance) & ~tracer.inside(place)
     free[free] = _sees_fronts(scene, tracer, place[free])

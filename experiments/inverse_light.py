@@ -2,7 +2,7 @@
 
 A point light that no fit has seen lights the scene; given is the lightmap of its *indirect* light, and a fitted model of the
 scene. Adam moves the light down the gradient of the relative squared error through lights → measured light → model, from
-several starting places at once. Its colour enters linearly and is solved for exactly at every step. Visibility of the
+several starting places at once, drawn like the lights themselves. Its colour enters linearly and is solved for exactly at every step. Visibility of the
 measurement points is traced again every few steps, for gradients do not reach it; `no shadows` never traces it, and
 Nelder-Mead has no gradients but the same number of evaluations of the model for each light (each with its own shadow rays).
 
@@ -26,6 +26,7 @@ from scipy.optimize import minimize
 
 import prt_bench as prt
 from data_gen.direct import visibility
+from data_gen.scenarios import near_region, sample_lightings
 from data_gen.tracer import Tracer
 from prt_bench.emitters import Emitters, irradiance
 from prt_bench.lights import PointLight
@@ -126,8 +127,8 @@ def _only(problem: Problem, light: int) -> Problem:
 
 
 def _inside(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    low, high = problem.ds.scene.bounds
-    return low + 0.01 * problem.extent, high - 0.01 * problem.extent
+    low, high = near_region(problem.ds.scene)
+    return low, high
 
 
 def _best(problem: Problem, places: np.ndarray) -> np.ndarray:
@@ -145,9 +146,9 @@ def main() -> None:
     chosen = test.lightings[: settings.lights]
     place = np.array([np.asarray(vars(each.lights[0])["position"]) for each in chosen])
     bright = np.array([np.asarray(vars(each.lights[0])["intensity"]) for each in chosen])
-    rng = np.random.default_rng(0)
-    low, high = ds.scene.bounds
-    starts = rng.uniform(low, high, (len(chosen), settings.starts, 3)) * 0.8 + 0.1 * (low + high)
+    low, high = near_region(ds.scene)
+    drawn_alike = sample_lightings(ds.scene, "point", len(chosen) * settings.starts, [0, 9], tracer)
+    starts = np.array([each.lights[0].position for each in drawn_alike]).reshape(len(chosen), settings.starts, 3)
     lines, drawn = [], {}
     for name in settings.methods:
         model = prt.method(name, basis=settings.basis).fit(train)
