@@ -2,9 +2,10 @@
 
 A point light that no fit has seen lights the scene; given is the lightmap of its *indirect* light, and a fitted model of the
 scene. Adam moves the light down the gradient of the relative squared error through lights → measured light → model, from
-several starting places at once, drawn like the lights themselves. Its colour enters linearly and is solved for exactly at every step. Visibility of the
-measurement points is traced again every few steps, for gradients do not reach it; `no shadows` never traces it, and
-Nelder-Mead has no gradients but the same number of evaluations of the model for each light (each with its own shadow rays).
+several starting places at once, drawn like the lights themselves. Its colour enters linearly and is solved for exactly at
+every step. Visibility of the measurement points is traced again every few steps, for gradients do not reach it; `no shadows`
+never traces it, and Nelder-Mead has no gradients but the same number of evaluations of the model for each light (each with
+its own shadow rays).
 
 Printed are the distance to the true place relative to the scene's extent, the share of lights found within 2 %, and the error
 of the recovered intensity, over held-out lightings. An error of the model is an error of the answer: the rows are models.
