@@ -14,7 +14,7 @@ from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.emitters import Emitters
 from prt_bench.points import SurfacePoints
-from prt_bench.transport import final_gather, radiosity
+from prt_bench.transport import final_gather, irradiance, radiosity, shown
 
 _NODES = 1 << 14  # nodes whose rays are in memory at once
 
@@ -55,9 +55,17 @@ class LightPass:
         direct = jnp.asarray(self._direct(samples))
         bounces = self.transport.bounces - 1
         return [
-            radiosity(self.transport.sample_gather(half), albedo, direct, bounces).block_until_ready()
+            radiosity(
+                self.transport.sample_gather(half), albedo, direct, bounces, self.transport.sample_scattering(half)
+            ).block_until_ready()
             for half in (0, 1)
         ]
+
+    @cached_property
+    def _arriving(self) -> list[Float[Array, "S N C"]]:
+        """All light at the gather samples, which enters translucent bodies, from each half of the rays."""
+        direct = jnp.asarray(self._direct(self.transport.samples))
+        return [irradiance(self.transport.sample_gather(half), direct, self._halves[half]) for half in (0, 1)]
 
     @cached_property
     def _at_nodes(self) -> list[Float[np.ndarray, "N J C"]]:
@@ -79,6 +87,14 @@ class LightPass:
         return Received(direct, np.asarray(mean), np.asarray(first), np.asarray(squares))
 
     def _received(self, rows: slice, half: int) -> Float[Array, "N P C"]:
+        gathered = self._gathered(rows, half)
+        scattering = self.transport.receiver_scattering(rows, half)
+        if scattering is None:
+            return gathered
+        albedo = jnp.asarray(self.transport.receivers.albedo[rows, : self.channels], jnp.float32)
+        return shown(scattering, albedo, gathered, self._arriving[half])
+
+    def _gathered(self, rows: slice, half: int) -> Float[Array, "N P C"]:
         if self.transport.nodes is None:
             return final_gather(self.transport.receiver_gather(rows, half), self._halves[half])
         at_nodes = np.moveaxis(self._at_nodes[half], 1, 0)

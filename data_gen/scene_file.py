@@ -14,6 +14,11 @@ two_sided = true
 [materials.lid.glossy]         # a lobe beside the diffuse reflection; albedo + specular ≤ 1
 specular = [0.2, 0.2, 0.2]
 exponent = 20.0
+[materials.body.subsurface]    # a medium inside a closed surface: coefficients per metre, red, green, blue
+scattering = [900.0, 700.0, 400.0]
+absorption = [1.0, 3.0, 12.0]  # or, instead of both, albedo = [...] and mean_free_path = [...] in metres
+anisotropy = 0.3
+ior = 1.4
 """
 
 import tomllib
@@ -25,11 +30,13 @@ from typing import Any
 
 from data_gen.loader import MeshOptions, read_mesh
 from prt_bench.errors import SceneError
+from prt_bench.medium import Subsurface
 from prt_bench.scene import Camera, Glossy, Scene
 
 _KEYS = ("mesh", *(field.name for field in fields(MeshOptions)))
 _CAMERA_KEYS = tuple(field.name for field in fields(Camera))
-_MATERIAL_KEYS = ("albedo", "two_sided", "glossy")
+_MATERIAL_KEYS = ("albedo", "two_sided", "glossy", "subsurface")
+_MEDIUM_KEYS = ("scattering", "absorption", "albedo", "mean_free_path", "anisotropy", "ior")
 _GLOSSY_KEYS = ("specular", "exponent")
 _UP = ("x", "y", "z")
 
@@ -104,7 +111,28 @@ def _material(table: Mapping[str, Any], name: str, path: Path) -> dict[str, Any]
         values["two_sided"] = table["two_sided"]
     if "glossy" in table:
         values["glossy"] = _glossy(_table(table, "glossy", path), f"{where}glossy.", path)
+    if "subsurface" in table:
+        values["subsurface"] = _medium(_table(table, "subsurface", path), f"{where}subsurface.", path)
+        values.setdefault("albedo", (0.0, 0.0, 0.0))  # the medium gives the colour
     return values
+
+
+def _medium(table: Mapping[str, Any], where: str, path: Path) -> Subsurface:
+    _check_keys(table, _MEDIUM_KEYS, path, where)
+    pairs = [pair for pair in (("scattering", "absorption"), ("albedo", "mean_free_path")) if set(pair) & set(table)]
+    if len(pairs) != 1 or not set(pairs[0]) <= set(table):
+        raise SceneError(
+            f"scene file {path}: {where.removesuffix('.')} needs scattering and absorption, or albedo and mean_free_path"
+        )
+    values: dict[str, Any] = {key: _triple(table[key], f"{where}{key}", path) for key in pairs[0]}
+    for key in {"anisotropy", "ior"} & set(table):
+        if not _is_number(table[key]):
+            raise SceneError(f"scene file {path}: {where}{key} is {table[key]!r}, but must be a number")
+        values[key] = float(table[key])
+    try:
+        return (Subsurface if "scattering" in values else Subsurface.of_albedo)(**values)
+    except SceneError as error:
+        raise SceneError(f"scene file {path}, {where.removesuffix('.')}: {error}") from error
 
 
 def _glossy(table: Mapping[str, Any], where: str, path: Path) -> Glossy:

@@ -6,6 +6,7 @@ import numpy as np
 import zarr
 
 from data_gen.atlas import lightmap_points, unwrap
+from data_gen.effects.subsurface import WalkTracer, write_walks
 from data_gen.gather import buried, trace_hits
 from data_gen.journal import content_key, create_array, resumable
 from data_gen.nodes import Interpolation, Looker, interpolate
@@ -13,14 +14,14 @@ from data_gen.plan import Plan
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from data_gen.vertices import shading_vertices
-from prt_bench.dataset import Transport
+from prt_bench.dataset import Transport, read_walks
 from prt_bench.errors import SpecError
 from prt_bench.hemisphere import SAMPLER, HemisphereSampler
 from prt_bench.points import SurfacePoints
 from prt_bench.progress import track
 from prt_bench.scene import Scene
 from prt_bench.store import FORMAT, write_array, write_lightmap, write_points, write_scene
-from prt_bench.transport import GatherOperator, tail_bounds
+from prt_bench.transport import GatherOperator, Scattering, tail_bounds
 
 CHUNK = 1 << 14
 """Receivers that are traced, lit and stored together."""
@@ -94,6 +95,11 @@ def trace(
             found = interpolate(lightmap, receivers, hidden, settings.node_tolerance, look)
             _write_nodes(group, found, receivers, directions)
             journal.add(len(chunks))
+        if scene.translucent:
+            kinds = {"receivers": receivers, "samples": None if shared else samples, "vertices": vertices}
+            from_points = {name: points for name, points in kinds.items() if points is not None}
+            walker = WalkTracer(scene, gather_map, samples, sampler, tracer.workers)
+            write_walks(group, journal, len(chunks) + 1, walker, from_points)
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)
         write_points(group, "receivers", receivers)
@@ -105,6 +111,8 @@ def trace(
         _write_sampler(group, sampler)
         sample_hits = "receiver_hits" if shared else "sample_hits"
         gather = GatherOperator.from_hits(np.asarray(group[sample_hits][...]), len(samples))
+        walks = read_walks(group)
+        scattering = walks and walks.samples.scattering(len(samples), walks.colour)
         group.attrs.update(
             {
                 "kind": "transport",
@@ -112,7 +120,7 @@ def trace(
                 "key": key,
                 "sample_hits": sample_hits,
                 "seed": seed,
-                "bounces": _needed_bounces(gather, samples, settings, scene.name),
+                "bounces": _needed_bounces(gather, samples, settings, scene.name, scattering),
             }
         )
     return Transport.open(path)
@@ -139,9 +147,11 @@ def _write_nodes(group: zarr.Group, found: Interpolation, receivers: SurfacePoin
         write_array(child, name, array)
 
 
-def _needed_bounces(gather: GatherOperator, samples: SurfacePoints, settings: Plan, name: str) -> int:
+def _needed_bounces(
+    gather: GatherOperator, samples: SurfacePoints, settings: Plan, name: str, scattering: Scattering | None
+) -> int:
     """The planner's bound, lowered to what the traced operator needs for the same tolerance."""
-    bounds = tail_bounds(gather, samples.albedo.astype(np.float32), settings.bounces)
+    bounds = tail_bounds(gather, samples.albedo.astype(np.float32), settings.bounces, scattering)
     enough = np.flatnonzero(bounds <= settings.tolerance)
     if not enough.size and settings.bounces < 2:
         return settings.bounces

@@ -86,9 +86,17 @@ class Tracer:
         hits = self.intersect(np.repeat(points, count, axis=0), np.tile(_DIRECTIONS, (len(points), 1)))
         return Hits(*(getattr(hits, name).reshape(-1, count) for name in Hits.__dataclass_fields__))
 
-    def trace(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> dict[str, np.ndarray]:
-        """Embree's own answer to float32 rays, on the calling thread: primID, u, v, tfar and the normal Ng (not unit)."""
-        return self._embree.run(origins, directions, output=True)
+    def trace(
+        self,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        reach: Float[np.ndarray, " n"] | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Embree's own answer to float32 rays, on the calling thread: primID, u, v, tfar and the normal Ng (not unit).
+
+        `reach` is how far each ray looks, in lengths of its direction; near ends make short work of the rest.
+        """
+        return self._embree.run(origins, directions, reach, output=True)
 
     def _hits(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         found = self.trace(origins, directions)

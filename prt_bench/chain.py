@@ -25,7 +25,8 @@ from prt_bench.dataset import LightingDataset, Transport
 from prt_bench.emitters import irradiance
 from prt_bench.lights import Lighting, emitters
 from prt_bench.points import SurfacePoints
-from prt_bench.transport import final_gather, radiosity
+from prt_bench.transport import final_gather, radiosity, shown
+from prt_bench.transport import irradiance as arriving_light
 
 Visibility = Bool[np.ndarray, "N P Q"] | Bool[Array, "N P Q"]
 
@@ -62,9 +63,15 @@ def indirect_light(
     The traced operator with an `albedo` that may be another than the scene's (`transport.samples.albedo`), in the dtype of
     `direct`. Differentiable in both. All N lightings and all rays are in memory at once.
     """
-    gather = transport.sample_gather(differentiable=True)
-    outgoing = radiosity(gather, albedo, direct, transport.bounces - 1)
+    gather, within = transport.sample_gather(differentiable=True), transport.sample_scattering(differentiable=True)
+    outgoing = radiosity(gather, albedo, direct, transport.bounces - 1, within)
     received = final_gather(transport.traced.receiver_gather(differentiable=True), outgoing)
-    if transport.nodes is None:
+    if transport.nodes is not None:
+        weight, corner = transport.nodes.weight, transport.nodes.corner
+        received = jnp.einsum("tk,ntkc->ntc", weight, received[:, corner], precision="highest")
+    leaving = transport.receiver_scattering(differentiable=True)
+    if leaving is None:
         return received
-    return jnp.einsum("tk,ntkc->ntc", transport.nodes.weight, received[:, transport.nodes.corner], precision="highest")
+    shared = transport.receiver_hits is transport.sample_hits
+    own = albedo if shared else jnp.asarray(transport.receivers.albedo, albedo.dtype)
+    return shown(leaving, own[:, : albedo.shape[1]], received, arriving_light(gather, direct, outgoing))

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int
@@ -21,7 +22,7 @@ from prt_bench.lights import Lighting, light_from_json
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
 from prt_bench.store import camera_from_json, member, open_group, read_lightmap, read_points, read_scene
-from prt_bench.transport import GatherOperator
+from prt_bench.transport import GatherOperator, Scattering
 
 _ARRAYS = ("measured", "direct", "indirect", "indirect_half", "noise")
 _STREAMED = ("streamed_direct", "streamed_measured")
@@ -35,6 +36,8 @@ class Transport:
     escaped, along the direction that `sampler` gives for it. Both halves of the
     rays are estimates of their own, and their difference is the noise floor. `buried` [T] marks receivers whose point lies
     inside another body that stands on their texel; no light reaches them, and pictures fill them from their neighbours.
+
+    With `walks` light crosses translucent bodies too, from samples to receivers and to samples.
 
     With `nodes` only some receivers were traced: `receiver_hits` [J, R'] has their rows, see `traced` and `spread`.
     """
@@ -51,6 +54,7 @@ class Transport:
     sampler: HemisphereSampler | None = None
     vertices: "Vertices | None" = None
     nodes: "Nodes | None" = None
+    walks: "Walks | None" = None
 
     @classmethod
     def open(cls, path: Path) -> "Transport":
@@ -70,6 +74,7 @@ class Transport:
             _read_sampler(group),
             _read_vertices(group),
             _read_nodes(group),
+            read_walks(group),
         )
 
     def at_vertices(self) -> "tuple[Transport, Int[np.ndarray, 'F 3']]":
@@ -81,7 +86,8 @@ class Transport:
             raise DatasetError(f"the vertices of '{self.scene.name}' were not traced; bake it with vertices = true")
         points, corner, hits = self.vertices
         exposed = np.zeros(len(points), bool)
-        return replace(self, receivers=points, buried=exposed, receiver_hits=hits, nodes=None), corner
+        walks = self.walks and self.walks._replace(receivers=self.walks.vertices)
+        return replace(self, receivers=points, buried=exposed, receiver_hits=hits, nodes=None, walks=walks), corner
 
     @property
     def traced(self) -> "Transport":
@@ -111,11 +117,33 @@ class Transport:
         """The operator from samples to some of the receivers; of `traced`, where not all of them were."""
         return self._operator(self.receiver_hits, rows, half, differentiable)
 
+    def sample_scattering(self, half: int | None = None, differentiable: bool = False) -> Scattering | None:
+        """What translucent bodies pass from samples to samples; None without such bodies."""
+        return self.walks and self._scattering(self.walks.samples, slice(None), half, differentiable)
+
+    def receiver_scattering(
+        self, rows: slice = slice(None), half: int | None = None, differentiable: bool = False
+    ) -> Scattering | None:
+        """The same to some of the receivers; to all of them, where not all were traced."""
+        return self.walks and self._scattering(self.walks.receivers, rows, half, differentiable)
+
+    def _scattering(self, table: "WalkTable | None", rows: slice, half: int | None, differentiable: bool) -> Scattering:
+        assert table is not None, "walks are traced from every set of points"
+        assert self.walks is not None
+        return table.scattering(len(self.samples), self.walks.colour, rows, half, differentiable)
+
     def _operator(self, table: Any, rows: slice, half: int | None, differentiable: bool) -> GatherOperator:
-        rays = table.shape[1]
-        columns = slice(None) if half is None else slice(half * rays // 2, (half + 1) * rays // 2)
-        hits = np.asarray(table[rows, columns], np.int32)
+        hits = np.asarray(table[rows, _columns(table.shape[1], half)], np.int32)
         return GatherOperator.from_hits(hits, len(self.samples), differentiable)
+
+
+def display_albedo(transport: Transport) -> Float[np.ndarray, "T 3"]:
+    """What makes direct light at the receivers comparable with indirect: albedo over colour at translucent ones, else 1."""
+    face = transport.receivers.face
+    if transport.walks is None:
+        return np.ones((len(face), 3), np.float32)
+    own = transport.receivers.albedo / transport.walks.colour[transport.scene.mesh.material[face]]
+    return np.where(transport.scene.translucent_at(face)[:, None], own, 1.0).astype(np.float32)
 
 
 class Vertices(NamedTuple):
@@ -135,6 +163,45 @@ class Nodes(NamedTuple):
     sampler: HemisphereSampler
     corner: Int[np.ndarray, "T 4"]
     weight: Float[np.ndarray, "T 4"]
+
+
+class WalkTable(NamedTuple):
+    """Where walks from the translucent ones of some points, `rows` [p], left the body: `ends` [p, D, W] samples, or S for none.
+    D is 1 for grey media, otherwise one for each channel. `material` [p] is that of the body."""
+
+    rows: Int[np.ndarray, " p"]
+    material: Int[np.ndarray, " p"]
+    ends: Int[np.ndarray, "p D W"] | zarr.Array
+
+    def scattering(
+        self,
+        samples: int,
+        colour: Float[np.ndarray, "materials 3"],
+        among: slice = slice(None),
+        half: int | None = None,
+        differentiable: bool = False,
+    ) -> Scattering:
+        """The operator to some `among` the points; `half` 0 or 1 takes one half of the walks."""
+        start, stop, _ = among.indices(int(np.iinfo(np.int32).max))
+        first, last = np.searchsorted(self.rows, (start, stop))
+        ends = np.asarray(self.ends[first:last, :, _columns(self.ends.shape[2], half)], np.int32)
+        walks = [GatherOperator.from_hits(medium, samples, differentiable) for medium in np.moveaxis(ends, 1, 0)]
+        tints = jnp.asarray(colour[self.material[first:last]])
+        return Scattering(jnp.asarray(self.rows[first:last] - start), tuple(walks), tints)
+
+
+class Walks(NamedTuple):
+    """Walks from all points of a transport, and what became of them.
+
+    `colour` [materials, 3] is the share that a translucent body returns of light that is the same everywhere, the mean over its
+    receivers, and 1 for other materials. `fates` counts walks by material, fate and channel.
+    """
+
+    receivers: WalkTable | None
+    samples: WalkTable
+    vertices: WalkTable | None
+    colour: Float[np.ndarray, "materials 3"]
+    fates: Mapping[str, Mapping[str, list[int]]]
 
 
 class Streamed(NamedTuple):
@@ -243,8 +310,17 @@ class LightingDataset:
 
     @cached_property
     def indirect(self) -> Float[np.ndarray, "N T C"]:
-        """Indirect irradiance at the receivers, all bounces, in W/m²."""
+        """Indirect irradiance at the receivers, all bounces, in W/m²; at translucent ones what leaves them, over their body's
+        colour (`prt_bench.transport.shown`)."""
         return self._load("indirect")
+
+    @property
+    def shown_direct(self) -> Float[np.ndarray, "N T C"]:
+        """Direct light in the measure of `indirect`: irradiance, but ρ E_dir over the body's colour at translucent receivers.
+        Their sum is all light."""
+        if self.transport.walks is None:
+            return self.direct
+        return self.direct * display_albedo(self.transport)[:, : self.direct.shape[2]]
 
     def indirect_at(self, first: int, last: int) -> Float[np.ndarray, "N t C"]:
         """`indirect` at the receivers from `first` up to `last`; nothing else of it is read from disk, and nothing kept."""
@@ -293,6 +369,33 @@ def _read_vertices(group: Any) -> Vertices | None:
     return Vertices(
         read_points(group, "vertices"), np.asarray(member(group, "corner")[...]), member(group, "vertex_hits")
     )
+
+
+def _columns(rays: int, half: int | None) -> slice:
+    """All rays of a table, or one half of them."""
+    return slice(None) if half is None else slice(half * rays // 2, (half + 1) * rays // 2)
+
+
+def read_walks(group: Any) -> Walks | None:
+    """The walks of a transport store, None where there are no translucent bodies."""
+    if "walks" not in group:
+        return None
+    tables = {}
+    for name in ("receivers", "samples", "vertices"):
+        found = f"walks/{name}" in group
+        tables[name] = (
+            WalkTable(
+                *(np.asarray(member(group, f"walks/{name}/{part}")[...]) for part in ("rows", "material")),
+                member(group, f"walks/{name}/ends"),
+            )
+            if found
+            else None
+        )
+    samples = tables["samples"] or tables["receivers"]
+    assert samples is not None
+    fates = json.loads(str(group["walks"].attrs["fates"]))
+    colour = np.asarray(member(group, "walks/colour")[...])
+    return Walks(tables["receivers"], samples, tables["vertices"], colour, fates)
 
 
 def _read_nodes(group: Any) -> Nodes | None:

@@ -115,7 +115,7 @@ def split_name(ds: LightingDataset) -> str:
 def _chunk_figures(
     fitted: Model | None, asset: RuntimeAsset | None, ds: LightingDataset, span: Float[np.ndarray, "T B"] | None
 ) -> dict[str, Float[np.ndarray, " N"]]:
-    reference, direct = np.asarray(ds.indirect, np.float64), np.asarray(ds.direct, np.float64)
+    reference, direct = np.asarray(ds.indirect, np.float64), np.asarray(ds.shown_direct, np.float64)
     sources = [source for source in (asset, fitted) if source is not None]
     # Where a method replaces direct light as well, its errors there count: for all others the direct light is exact.
     predictions = [np.asarray(source.predict(ds), np.float64) - source.includes_direct * direct for source in sources]

@@ -62,10 +62,11 @@ class HemisphereSampler:
         on_cpu = partial(jax.device_put, device=jax.devices("cpu")[0])
         return cls(on_cpu(local), (on_cpu(jitter[0]), on_cpu(jitter[1])), seed)
 
-    def turns(self, first: int, normal: Float[np.ndarray, "P 3"]) -> Turns:
-        """For the points `first`, `first` + 1, …; independent of how points are grouped."""
-        index = np.arange(first, first + len(normal), dtype=np.uint64)
-        random = _hash(index + (np.uint64(self.seed) << np.uint64(40)))
+    def turns(self, first: int | Int[np.ndarray, " P"], normal: Float[np.ndarray, "P 3"]) -> Turns:
+        """For the points `first`, `first` + 1, …, or the points given; independent of how points are grouped."""
+        index = np.arange(first, first + len(normal)) if isinstance(first, int) else first
+        index = index.astype(np.uint64)
+        random = hashed(index + (np.uint64(self.seed) << np.uint64(40)))
         angle = (random >> np.uint64(11)).astype(np.float64) * (2.0 * np.pi / 2.0**53)
         return Turns((random % np.uint64(_SETS)).astype(np.int32), tangent_frames(normal, angle).astype(np.float32))
 
@@ -75,7 +76,9 @@ class HemisphereSampler:
         """Origins and directions of all rays of some points, point by point."""
         return _rays(self.local, *turns, origin)
 
-    def directions(self, first: int, normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P R 3"]:
+    def directions(
+        self, first: int | Int[np.ndarray, " P"], normal: Float[np.ndarray, "P 3"]
+    ) -> Float[np.ndarray, "P R 3"]:
         """Directions alone, as `rays` gives them."""
         _, directions = self.rays(np.zeros_like(normal, np.float32), self.turns(first, normal))
         return np.asarray(directions).reshape(len(normal), -1, 3)
@@ -105,7 +108,7 @@ def tangent_frames(normal: Float[np.ndarray, "P 3"], angle: Float[np.ndarray, " 
     return np.stack([cosine * tangent + sine * bitangent, cosine * bitangent - sine * tangent, normal], axis=1)
 
 
-def _hash(values: Int[np.ndarray, " P"]) -> Int[np.ndarray, " P"]:
+def hashed(values: Int[np.ndarray, " P"]) -> Int[np.ndarray, " P"]:
     """SplitMix64 finaliser: well-mixed 64-bit integers from consecutive ones."""
     values = values + np.uint64(0x9E3779B97F4A7C15)
     values = (values ^ (values >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from prt_bench.errors import SceneError
+from prt_bench.medium import Subsurface
 
 MOST_EXPONENT = 1e6
 """Sharpest lobe of a glossy material, 0.1° wide; a mirror has no lobe that could be sampled or stored."""
@@ -57,7 +58,7 @@ class Glossy:
 
 @dataclass(frozen=True)
 class Material:
-    """Reflectance of a surface: diffuse, and glossy where a lobe is given.
+    """Reflectance of a surface: diffuse, glossy where a lobe is given, and a medium below it where `subsurface` is.
 
     `albedo` is linear RGB in [0, 1]. `image` [height, width, 3], linear too, multiplies it and is looked up at the mesh's
     texture coordinates (v up). A `two_sided` surface reflects on both sides; any other is black from behind. Albedo and
@@ -66,6 +67,9 @@ class Material:
     `normal_image` [height, width, 3] tilts the normal: vectors of any length in the frame of the texture coordinates, x
     along u, y along v, z > 0 along the face's normal (from the usual colours c in [0, 1] by 2c − 1). Diffuse transfer does
     not read it; see `Scene.shading_normal_at`.
+
+    `subsurface` fills the closed surfaces of the material with a medium. Its boundary then reflects what light does not
+    enter, so albedo and specular are at most `Subsurface.reflected` together: usually 0, the medium gives the colour.
     """
 
     name: str = "grey"
@@ -74,6 +78,7 @@ class Material:
     two_sided: bool = False
     glossy: Glossy | None = None
     normal_image: Float[np.ndarray, "H W 3"] | None = None
+    subsurface: Subsurface | None = None
 
     def __post_init__(self) -> None:
         values = np.asarray(self.albedo, float)
@@ -83,18 +88,36 @@ class Material:
             )
         if self.image is not None and not np.all((self.image >= 0) & (self.image <= 1)):
             raise SceneError(f"the albedo image of material '{self.name}' has values outside 0 to 1")
-        if self.glossy is not None:
-            brightest = values if self.image is None else values * self.image.max(axis=(0, 1))
-            if np.any(brightest + self.glossy.specular > 1 + _SLACK):
-                raise SceneError(
-                    f"material '{self.name}' reflects more than arrives: its albedo {self.albedo} and specular"
-                    f" {self.glossy.specular} must not exceed 1 together; lower one of them"
-                )
+        if self.subsurface is not None:
+            self._check_boundary(self.subsurface)
+        if self.glossy is not None and np.any(self._brightest + self.glossy.specular > 1 + _SLACK):
+            raise SceneError(
+                f"material '{self.name}' reflects more than arrives: its albedo {self.albedo} and specular"
+                f" {self.glossy.specular} must not exceed 1 together; lower one of them"
+            )
         normals = self.normal_image
         if normals is not None and (normals.ndim != 3 or normals.shape[2] != 3 or not np.all(normals[..., 2] > 0)):
             raise SceneError(
                 f"the normal image of material '{self.name}' must hold vectors [height, width, 3] with z above zero;"
                 " from colours c they are 2c − 1"
+            )
+
+    @property
+    def _brightest(self) -> Float[np.ndarray, "3"]:
+        """Largest albedo anywhere on the surface."""
+        return np.asarray(self.albedo, float) * (1.0 if self.image is None else self.image.max(axis=(0, 1)))
+
+    def _check_boundary(self, medium: Subsurface) -> None:
+        """Raise `SceneError` for a medium in a sheet, or below a surface that reflects what must enter."""
+        if self.two_sided:
+            raise SceneError(
+                f"material '{self.name}' is two-sided and holds a medium, but a medium fills a closed body; drop either"
+            )
+        most = medium.reflected
+        if np.any(self._brightest + (self.glossy.specular if self.glossy else 0.0) > most + _SLACK):
+            raise SceneError(
+                f"material '{self.name}' has albedo {self.albedo} over a medium whose boundary reflects {most:.3f} of diffuse"
+                " light; keep albedo and specular together below that, usually at 0: the medium gives the colour"
             )
 
 
@@ -167,6 +190,7 @@ class Scene:
             len(set(m.albedo)) == 1
             and (m.image is None or bool(np.ptp(m.image, axis=-1).max() == 0))
             and (m.glossy is None or len(set(m.glossy.specular)) == 1)
+            and (m.subsurface is None or m.subsurface.grey)
             for m in self.materials
         )
 
@@ -176,9 +200,22 @@ class Scene:
         return any(m.glossy is not None for m in self.materials)
 
     @property
+    def translucent(self) -> bool:
+        """Whether any face's material holds a medium."""
+        return any(self.materials[index].subsurface is not None for index in np.unique(self.mesh.material))
+
+    @property
     def largest_albedo(self) -> float:
-        """Upper bound of the albedo over all surfaces and channels."""
-        return max(float(np.max(m.albedo)) * (1.0 if m.image is None else float(m.image.max())) for m in self.materials)
+        """Upper bound of what surfaces reflect, and media give back, over all surfaces and channels."""
+        return max(
+            float(np.max(m.albedo)) * (1.0 if m.image is None else float(m.image.max()))
+            + (0.0 if m.subsurface is None else 1.0 - m.subsurface.reflected)
+            for m in self.materials
+        )
+
+    def translucent_at(self, face: Int[np.ndarray, " P"]) -> Bool[np.ndarray, " P"]:
+        """Whether the materials of faces hold a medium."""
+        return np.array([m.subsurface is not None for m in self.materials])[self.mesh.material[face]]
 
     def albedo_at(self, face: Int[np.ndarray, " P"], barycentric: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
         """Linear RGB albedo at points given by face index and barycentric coordinates."""
@@ -261,6 +298,10 @@ class Scene:
             lobe = material.glossy
             if lobe is not None:
                 digest.update(repr(("glossy", tuple(map(float, lobe.specular)), float(lobe.exponent))).encode())
+            medium = material.subsurface
+            if medium is not None:
+                numbers = [*medium.scattering, *medium.absorption, medium.anisotropy, medium.ior]
+                digest.update(f"subsurface {np.array(numbers, '<f8').tobytes().hex()}".encode())
             for name, image in (("roughness", lobe and lobe.roughness_image), ("normal", material.normal_image)):
                 if image is not None:
                     digest.update(f"{name} {image.shape}".encode() + np.ascontiguousarray(image, "<f8").tobytes())

@@ -8,6 +8,7 @@ import numpy as np
 import zarr
 
 from prt_bench.errors import DatasetError
+from prt_bench.medium import Subsurface
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Camera, Glossy, Material, Mesh, Scene
 
@@ -95,7 +96,7 @@ def read_scene(group: Any) -> Scene:
     mesh = Mesh(*(_array(group, f"scene/{name}") for name in ("vertices", "faces", "material")), uv=kept("uv"))
     materials = []
     for index, entry in enumerate(about["materials"]):
-        lobe = entry.get("glossy")
+        lobe, medium = entry.get("glossy"), entry.get("subsurface")
         materials.append(
             Material(
                 entry["name"],
@@ -104,6 +105,7 @@ def read_scene(group: Any) -> Scene:
                 entry["two_sided"],
                 lobe and Glossy(tuple(lobe["specular"]), lobe["exponent"], kept(f"roughness-{index}")),
                 kept(f"normal-{index}"),
+                medium and Subsurface(**{key: tuple(v) if isinstance(v, list) else v for key, v in medium.items()}),
             )
         )
     return Scene(about["name"], mesh, tuple(materials), camera_from_json(about["camera"]), tuple(about["notes"]))
@@ -112,6 +114,8 @@ def read_scene(group: Any) -> Scene:
 def _about(material: Material) -> dict[str, Any]:
     """A material without its images, for JSON."""
     about = {"name": material.name, "albedo": material.albedo, "two_sided": material.two_sided}
+    if material.subsurface is not None:
+        about["subsurface"] = vars(material.subsurface)
     if material.glossy is None:
         return about
     return {**about, "glossy": {"specular": material.glossy.specular, "exponent": material.glossy.exponent}}

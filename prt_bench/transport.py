@@ -5,6 +5,10 @@ matrix with rows of equal weights 1/R, and every lighting, bounce, channel and m
 
     E_ind = G ρ (E_dir + E_ind)
 
+Where a scene has translucent bodies, light also enters at one sample and leaves at another. Walks through the medium make a
+second table of hits, K, from irradiance to what leaves, and every ρ E above becomes ρ E + K E. A scene without such bodies has
+no K, and runs what it always ran.
+
 Rays are traced in `data_gen`; nothing here knows of geometry. Differentiable in direct light and albedo; hit indices are data.
 """
 
@@ -51,6 +55,31 @@ class GatherOperator(eqx.Module):
         return _gather(self.hits, self.adjoint, jnp.pad(radiosity, ((0, 2), (0, 0))))
 
 
+class Scattering(eqx.Module):
+    """K [P, S]: what leaves P points of the surface of translucent bodies, W/m², from the irradiance at S samples.
+
+    `rows` [p] are the translucent ones of the P points. Each of `walks` is a table of the samples where walks from those
+    points left the body: the S of `GatherOperator` marks walks that were absorbed or never entered. One table serves all
+    channels of a grey medium; otherwise there is one for each. Rows sum to at most 1 less what the boundary reflects.
+    `colour` [p, C] is what the points' bodies return of light that is the same everywhere, see `shown`.
+    """
+
+    rows: Int[Array, " p"]
+    walks: tuple[GatherOperator, ...]
+    colour: Float[Array, "p C"]
+
+    def __call__(self, irradiance: Float[Array, "S N C"]) -> Float[Array, "p N C"]:
+        """K · irradiance at the points `rows`."""
+        samples, lightings, channels = irradiance.shape
+        if len(self.walks) == 1:
+            return self.walks[0](irradiance.reshape(samples, -1)).reshape(-1, lightings, channels)
+        return jnp.stack([walk(irradiance[:, :, c]) for c, walk in enumerate(self.walks)], axis=2)
+
+    def channel(self, index: int) -> "Scattering":
+        """The same of one channel alone."""
+        return Scattering(self.rows, (self.walks[min(index, len(self.walks) - 1)],), self.colour[:, index : index + 1])
+
+
 @jax.custom_vjp
 def _gather(hits: Array, adjoint: tuple[Array, Array] | None, padded: Array) -> Array:
     points, rays = hits.shape
@@ -85,21 +114,28 @@ def _sparse_product(indices: Array, starts: Array, shape: tuple[int, int], dense
 
 @partial(jax.jit, static_argnames="bounces")
 def radiosity(
-    gather: GatherOperator, albedo: Float[Array, "S C"], direct: Float[Array, "N S C"], bounces: int
+    gather: GatherOperator,
+    albedo: Float[Array, "S C"],
+    direct: Float[Array, "N S C"],
+    bounces: int,
+    scattering: Scattering | None = None,
 ) -> Float[Array, "S N C"]:
-    """Radiosity ρ (E_dir + E_ind) at the gather samples, E_ind holding `bounces` bounces (0: direct light only).
+    """Radiosity (ρ + K) (E_dir + E_ind) at the gather samples, E_ind holding `bounces` bounces (0: direct light only).
 
-    Neumann series of (I − Gρ)⁻¹; its tail is bounded by `tail_bounds`. Units: W/m².
+    K is that of `scattering`, 0 without it. Neumann series of (I − G (ρ + K))⁻¹; its tail is bounded by `tail_bounds`. Units:
+    W/m².
     """
     light = jnp.moveaxis(direct, 0, 1)  # one row per sample, so that a gather reads whole rows
     samples, lightings, channels = light.shape
 
-    def bounce(_: int, indirect: Array) -> Array:
-        outgoing = albedo[:, None, :] * (light + indirect)
-        return gather(outgoing.reshape(samples, -1)).reshape(samples, lightings, channels)
+    def leaving(irradiance: Array) -> Array:
+        reflected = albedo[:, None, :] * irradiance
+        return reflected if scattering is None else reflected.at[scattering.rows].add(scattering(irradiance))
 
-    indirect = jax.lax.fori_loop(0, bounces, bounce, jnp.zeros_like(light))
-    return albedo[:, None, :] * (light + indirect)
+    def bounce(_: int, indirect: Array) -> Array:
+        return gather(leaving(light + indirect).reshape(samples, -1)).reshape(samples, lightings, channels)
+
+    return leaving(light + jax.lax.fori_loop(0, bounces, bounce, jnp.zeros_like(light)))
 
 
 @jax.jit
@@ -110,6 +146,34 @@ def final_gather(gather: GatherOperator, outgoing: Float[Array, "S N C"]) -> Flo
     return jnp.moveaxis(received, 0, 1)
 
 
+@jax.jit
+def irradiance(
+    gather: GatherOperator, direct: Float[Array, "N S C"], outgoing: Float[Array, "S N C"]
+) -> Float[Array, "S N C"]:
+    """All light that arrives at the samples, direct and gathered from their radiosity: what enters a medium. Units: W/m²."""
+    return jnp.moveaxis(direct, 0, 1) + gather(outgoing.reshape(outgoing.shape[0], -1)).reshape(outgoing.shape)
+
+
+@jax.jit
+def shown(
+    scattering: Scattering,
+    albedo: Float[Array, "P C"],
+    gathered: Float[Array, "N P C"],
+    arriving: Float[Array, "S N C"],
+) -> Float[Array, "N P C"]:
+    """Indirect light as receivers show it, W/m²: irradiance E_ind, but (ρ E_ind + K E) / κ at translucent ones.
+
+    `gathered` is E_ind at the receivers, `albedo` theirs, `arriving` the irradiance E at the samples. κ is the body's `colour`,
+    a constant of its material and channel: what leaves is κ times as bright as this, just as a diffuse surface is ρ times as
+    bright as its irradiance. So a viewer sees (ρ E_dir + κ y) / π at translucent points and ρ (E_dir + y) / π elsewhere.
+    Nothing is divided by an albedo, which is usually 0 above a medium, and light has its own colour everywhere, so that a
+    model that is shared by the channels serves coloured media as it serves coloured walls.
+    """
+    rows = scattering.rows
+    leaving = albedo[rows] * gathered[:, rows] + jnp.moveaxis(scattering(arriving), 1, 0)
+    return gathered.at[:, rows].set(leaving / scattering.colour[:, : albedo.shape[1]])
+
+
 def indirect(
     gather: GatherOperator, albedo: Float[Array, "S C"], direct: Float[Array, "N S C"], bounces: int
 ) -> Float[Array, "N S C"]:
@@ -117,18 +181,25 @@ def indirect(
     return final_gather(gather, radiosity(gather, albedo, direct, bounces - 1))
 
 
-def tail_bounds(gather: GatherOperator, albedo: Float[Array, "S C"], most: int) -> Float[np.ndarray, " bounces"]:
+def tail_bounds(
+    gather: GatherOperator, albedo: Float[Array, "S C"], most: int, scattering: Scattering | None = None
+) -> Float[np.ndarray, " bounces"]:
     """Upper bounds of the light that is missing after k = 1 … `most` bounces, relative to the brightest direct light.
 
-    t_k = ‖(Gρ)^k 1‖∞ bounds bounce k, so Σ_{j>k} t_j bounds what is missing. Terms are computed up to K = `most` + 1; as
-    t is submultiplicative, every further K of them are together at most t_K times the K before. Fewer bounds are returned
-    where light dies out earlier: the last one is then 0. Raises `FitError` when nothing decays (albedo 1 in a closed scene).
+    t_k = ‖(Gρ)^k 1‖∞ bounds bounce k, so Σ_{j>k} t_j bounds what is missing; with media ρ stands for ρ + K, each in its
+    brightest channel. Terms are computed up to K = `most` + 1; as t is submultiplicative, every further K of them are together
+    at most t_K times the K before. Fewer bounds are returned where light dies out earlier: the last one is then 0. Raises
+    `FitError` when nothing decays (albedo 1 in a closed scene).
     """
     worst = jnp.max(albedo, axis=1)
     field = jnp.ones((albedo.shape[0], 1), albedo.dtype)
     decay = []
     for _ in range(most + 1):
-        field = gather(worst[:, None] * field)
+        leaving = worst[:, None] * field
+        if scattering is not None:
+            channels = jnp.broadcast_to(field[:, :, None], (*field.shape, len(scattering.walks)))
+            leaving = leaving.at[scattering.rows].add(jnp.max(scattering(channels), axis=2))
+        field = gather(leaving)
         decay.append(float(jnp.max(field)))
         if decay[-1] == 0.0:
             break

@@ -1,5 +1,6 @@
 // Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds. DIRECT, INDIRECT,
-// SHADOWS, GLOSSY and images of ALBEDO, ROUGHNESS and NORMAL compile their part in.
+// SHADOWS, GLOSSY and images of ALBEDO, ROUGHNESS and NORMAL compile their part in. Where bodies are TRANSLUCENT, indirect light
+// is what leaves them over their colour, and that multiplies it.
 #ifdef DIRECT
 #include "emitters.glsl"
 #endif
@@ -20,6 +21,9 @@ flat in vec3 bitangent;
 layout(binding = 8) uniform sampler2D normal_image;
 #endif
 flat in vec3 albedo;
+#ifdef TRANSLUCENT
+flat in vec3 colour; // negative where the surface is opaque
+#endif
 #ifdef GLOSSY
 flat in vec3 specular;
 flat in float exponent;
@@ -58,13 +62,21 @@ void main() {
     place_on_surface = Place(position, normal);
 #endif
 #ifdef INDIRECT
+#ifdef TRANSLUCENT
+    vec3 indirect = indirect_irradiance(lightmap_uv);
+    if (colour.r < 0.0) irradiance += indirect;
+#else
     irradiance += indirect_irradiance(lightmap_uv);
+#endif
 #endif
     vec3 reflectance = albedo;
 #ifdef ALBEDO_IMAGE
     reflectance *= texture(albedo_image, image_uv).rgb;
 #endif
     radiance = vec4(reflectance / PI * irradiance, 1.0);
+#ifdef TRANSLUCENT
+    radiance.rgb += max(colour, vec3(0.0)) / PI * indirect;
+#endif
 #ifdef GLOSSY
     if (specular != vec3(0.0)) {
         float sharpness = exponent;

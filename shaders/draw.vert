@@ -17,6 +17,10 @@ in vec3 in_bitangent;
 flat out vec3 tangent;
 flat out vec3 bitangent;
 #endif
+#ifdef TRANSLUCENT
+in vec3 in_colour;
+flat out vec3 colour;
+#endif
 #ifdef GLOSSY
 in vec3 in_specular;
 in float in_exponent;
@@ -45,6 +49,9 @@ void main() {
 #ifdef NORMAL_IMAGE
     tangent = in_tangent;
     bitangent = in_bitangent;
+#endif
+#ifdef TRANSLUCENT
+    colour = in_colour;
 #endif
 #ifdef GLOSSY
     specular = in_specular;

@@ -21,6 +21,7 @@ READ_BY_BAKE = (
     "scene",
     "lights",
     "emitters",
+    "medium",
     "environment",
     "hemisphere",
     "visibility",

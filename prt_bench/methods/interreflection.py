@@ -49,6 +49,10 @@ def bounced_transfer(
     """
     if bounces < 1:
         raise SpecError(f"bounces is {bounces}, but must be at least 1; sh-triple shows direct light alone")
+    if transport.walks is not None:
+        raise SpecError(
+            f"'{transport.scene.name}' has translucent bodies, which bounces of fixed light do not enter; use sh-triple"
+        )
     order, traced = order_of(len(light)), transport.traced
     shared = traced.receiver_hits is traced.sample_hits
     direct = direct_transfer(traced, traced.receiver_hits, traced.receivers, order)

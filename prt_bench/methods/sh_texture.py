@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from prt_bench.dataset import LightingDataset, Transport
+from prt_bench.dataset import LightingDataset, Transport, display_albedo
 from prt_bench.harmonic import HarmonicIndirectModel, HarmonicModel
 from prt_bench.methods.base import Method
 from prt_bench.methods.escaping import transfer_vectors
@@ -58,4 +58,7 @@ def windowed_transfer(
     """Direct and indirect transfer vectors with the window in them, so that it costs nothing at run time."""
     damping = jnp.asarray(_WINDOWS[kind](order))[bands(order)]
     direct, indirect = transfer_vectors(transport, albedo, order)
-    return jnp.asarray(direct)[:, None] * damping, jnp.asarray(indirect) * damping
+    seen = jnp.asarray(direct)[:, None]
+    if transport.walks is not None:
+        seen = seen * display_albedo(transport)[:, : albedo.shape[1], None]
+    return seen * damping, jnp.asarray(indirect) * damping

@@ -55,6 +55,7 @@ class DrawPass:
         self._ranges = mesh.ranges
         images = {"ALBEDO_IMAGE": 1} if mesh.has_images else {}
         images |= {"NORMAL_IMAGE": 1, "LEAST_TILT": f"{LEAST_TILT:.9e}"} if mesh.has_normals else {}
+        images |= {"TRANSLUCENT": 1} if mesh.translucent and "INDIRECT" in defines else {}
         images |= {"ROUGHNESS_IMAGE": 1} if mesh.has_roughness and "GLOSSY" in defines else {}
         self._programs = {
             "depth": shaders.program(context, "draw.vert", None, {}),

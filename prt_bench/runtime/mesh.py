@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import moderngl
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from prt_bench.points import Lightmap
 from prt_bench.scene import Material, Scene
@@ -14,11 +14,16 @@ class MeshBuffers:
     """Vertex attributes (flat geometric normals, which normal images tilt as in the transport) and the vertex range of
     each material's images.
 
-    `corner` is the vertex of each face corner where transfer is stored at vertices.
+    `corner` is the vertex of each face corner where transfer is stored at vertices, `colour` that of translucent bodies.
     """
 
     def __init__(
-        self, context: moderngl.Context, scene: Scene, lightmap: Lightmap, corner: Int[np.ndarray, "F 3"] | None = None
+        self,
+        context: moderngl.Context,
+        scene: Scene,
+        lightmap: Lightmap,
+        corner: Int[np.ndarray, "F 3"] | None = None,
+        colour: Float[np.ndarray, "materials 3"] | None = None,
     ) -> None:
         self._context = context
         mesh, materials = scene.mesh, scene.materials
@@ -33,6 +38,7 @@ class MeshBuffers:
             "in_albedo": _per_corner(np.array([m.albedo for m in materials]), owner),
             "in_specular": _per_corner(np.array([_lobe(m)[:3] for m in materials]), owner),
             **self._frames(scene, order),
+            **self._colours(scene, order, colour),
             "in_exponent": _per_corner(np.array([_lobe(m)[3:] for m in materials]), owner),
         }
         self._attributes = {
@@ -45,6 +51,7 @@ class MeshBuffers:
         self.has_images = any(material.image is not None for material in materials)
         self.has_roughness = any(m.glossy is not None and m.glossy.roughness_image is not None for m in materials)
         starts = 3 * np.searchsorted(owner, np.arange(len(materials) + 1))
+        self.translucent = colour is not None
         self.has_normals = any(m.normal_image is not None for m in materials)
         self.ranges: list[tuple[int, int, dict[int, moderngl.Texture]]] = [(0, self.vertices, {})]
         if self.has_images or self.has_roughness or self.has_normals:
@@ -67,6 +74,19 @@ class MeshBuffers:
             return {}
         tangent, bitangent, _ = np.moveaxis(scene.tangent_frames(order), 1, 0)
         return {"in_tangent": _thrice(tangent), "in_bitangent": _thrice(bitangent)}
+
+    @staticmethod
+    def _colours(
+        scene: Scene, order: np.ndarray, colour: Float[np.ndarray, "materials 3"] | None
+    ) -> dict[str, np.ndarray]:
+        """Colours of translucent bodies at the corners of their faces, −1 at others, where there are any."""
+        if colour is None:
+            return {}
+        return {
+            "in_colour": _thrice(
+                np.where(scene.translucent_at(order)[:, None], colour[scene.mesh.material[order]], -1.0)
+            )
+        }
 
     def bound_to(self, program: moderngl.Program) -> moderngl.VertexArray:
         """A vertex array with the attributes the program uses."""

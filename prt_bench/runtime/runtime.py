@@ -60,8 +60,9 @@ class Runtime:
             "ATLAS_SIZE": f"{shadow_resolution}.0",
             **({"SHADOWS": 1} if shadows else {}),
         }
-        vertices = ds.transport.vertices
-        self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap, None if vertices is None else vertices.corner)
+        vertices, walks = ds.transport.vertices, ds.transport.walks
+        corner, colour = vertices and vertices.corner, walks and walks.colour
+        self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap, corner, colour)
         self.mesh_vertices = 0 if vertices is None else len(vertices.points)
         self.layout = LightmapLayout(self.context, ds.lightmap, ds.transport.buried)
         self.screen = Screen(self.context, size)

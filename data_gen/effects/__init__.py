@@ -1,0 +1,1 @@
+"""Effects beyond diffuse reflection, one file each: what only scenes pay for that call for them."""
