@@ -26,6 +26,7 @@ from data_gen.reference import (
     sample_light,
 )
 from data_gen.tracer import Hits, Tracer
+from prt_bench.errors import SceneError
 from prt_bench.lights import EnvironmentLight, Light, Lighting, RectLight, SphereLight
 from prt_bench.points import SurfacePoints
 from prt_bench.scene import Scene
@@ -105,6 +106,11 @@ class _GlossyPaths:
     """Light paths in one scene under one lighting, followed from the eye."""
 
     def __init__(self, scene: Scene, lighting: Lighting, diffuse_between: bool) -> None:
+        if scene.translucent:
+            raise SceneError(
+                f"scene '{scene.name}' has translucent bodies, through which paths of the glossy reference do not go; take"
+                " their medium or the lobes out"
+            )
         self.scene = scene
         self.lights = lighting.lights
         self.extended = [light for light in self.lights if isinstance(light, _EXTENDED)]

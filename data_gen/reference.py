@@ -2,7 +2,8 @@
 
 It follows every path bounce by bounce, with next-event estimation from the lights' own parameters (area lights over
 their whole surface, environment maps texel by texel) and the exact albedo of every hit. Of the bake it shares the ray
-queries alone. Slow by design; for checks, not for data. Glossy reflection is followed in `glossy_reference.py`.
+queries alone. Slow by design; for checks, not for data. Glossy reflection is followed in `glossy_reference.py`, and the way
+through translucent bodies in `medium_reference.py`.
 """
 
 import os
@@ -17,6 +18,7 @@ from jaxtyping import Float, Int
 from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
+from data_gen.medium_reference import Media
 from data_gen.tracer import Tracer
 from prt_bench.environment import EnvironmentMap
 from prt_bench.lights import (
@@ -102,6 +104,33 @@ def indirect_irradiance(
     )
 
 
+def leaving_light(
+    scene: Scene,
+    position: Float[np.ndarray, "P 3"],
+    normal: Float[np.ndarray, "P 3"],
+    face: Int[np.ndarray, " P"],
+    lighting: Lighting,
+    paths: int,
+    bounces: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+) -> Estimate:
+    """Radiosity that leaves points on translucent `face`s, in W/m², but for the reflection of direct light: light that came
+    in anywhere, direct and after up to `bounces` reflections or ways through bodies, and what is reflected of the latter."""
+    follow = _Paths(scene, lighting)
+    albedo = scene.albedo_at(face, np.full((len(face), 3), 1.0 / 3.0))
+
+    def sample(rng: Generator, at: np.ndarray) -> np.ndarray:
+        assert follow.media is not None, "no material holds a medium"
+        place, out, weight = follow.media.through(rng, face[at], position[at], normal[at])
+        reflected = albedo[at] * follow.indirect(rng, position[at], normal[at], normal[at], bounces)
+        return reflected + weight * (
+            follow.direct(rng, place, out, out) + follow.indirect(rng, place, out, out, bounces)
+        )
+
+    return average(sample, len(position), paths, seed, workers)
+
+
 def average(
     sample: Callable[[Generator, Int[np.ndarray, " n"]], Float[np.ndarray, "n 3"]],
     points: int,
@@ -140,6 +169,7 @@ class _Paths:
         self.scene = scene
         self.lights = lighting.lights
         self.tracer = Tracer(scene, workers=1)
+        self.media = Media(scene) if scene.translucent else None
         self.two_sided = np.array([material.two_sided for material in scene.materials])[scene.mesh.material]
         self.epsilon = OFFSET * (scene.extent + float(np.abs(scene.bounds).max()))
 
@@ -186,7 +216,9 @@ class _Paths:
     def _next_surface(
         self, rng: Generator, position: np.ndarray, normal: np.ndarray, flat: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Indices of the rays that meet a reflecting surface; position, both normals on the side met and albedo there."""
+        """Indices of the rays that meet a reflecting surface; position, both normals on the side met and albedo there.
+
+        Where that is translucent, those may be of the place where light enters that comes out here, and its weight."""
         direction = cosine_directions(rng, normal)
         hits = self.tracer.intersect(position + self.epsilon * flat, direction)
         leaves = np.einsum("nd,nd->n", direction, flat) > 0  # else its own face hides what it would meet
@@ -197,7 +229,10 @@ class _Paths:
         position = np.einsum("nc,ncd->nd", barycentric, self.scene.mesh.triangles[face])
         side = np.where(hits.front[met], 1.0, -1.0)[:, None]
         tilted, facing = side * self.scene.shading_normal_at(face, barycentric), side * self.scene.mesh.normals[face]
-        return met, position, tilted, facing, self.scene.albedo_at(face, barycentric)
+        albedo = self.scene.albedo_at(face, barycentric)
+        if self.media is not None:
+            position, tilted, facing, albedo = self.media.leave(rng, face, position, tilted, facing, albedo)
+        return met, position, tilted, facing, albedo
 
 
 class _Arrival(NamedTuple):

@@ -168,7 +168,7 @@ def test_modules_do_not_import_each_other_in_a_circle():
     assert not graph
 
 
-@pytest.mark.parametrize("name", ["reference", "glossy_reference", "reference_image"])
+@pytest.mark.parametrize("name", ["reference", "glossy_reference", "medium_reference", "reference_image"])
 def test_the_reference_tracer_shares_no_operator_code(name: str):
     operator = (
         "prt_bench.transport",
@@ -177,6 +177,7 @@ def test_the_reference_tracer_shares_no_operator_code(name: str):
         "data_gen.direct",
         "data_gen.light",
         "data_gen.bake",
+        "data_gen.effects",
     )
     assert not [name for name in imports(files("data_gen")[f"data_gen/{name}.py"]) if within(name, *operator)]
 

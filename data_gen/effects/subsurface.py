@@ -36,7 +36,7 @@ LONGEST = 1 << 16
 _POINTS = 1 << 11  # translucent points whose walks are traced and stored together
 _AT_ONCE = 1 << 15  # walks followed together by one worker
 _BLOCK = 1 << 18  # walks that one worker follows before it takes others
-_GAP = 2.0**-20  # how far below the surface a walk goes on, relative to the body's extent: some units of float32
+_GAP = 2.0**-22  # how far below the surface a walk goes on, relative to the body's extent: some units of float32
 _STEP, _ENTRY, _PLACE = np.uint64(8), np.uint64(5), np.uint64(6)
 
 
@@ -51,12 +51,14 @@ class Fate(IntEnum):
 
 
 class Ends(NamedTuple):
-    """n ends of walks: fate, and where they left the body: face of the scene and barycentric coordinates."""
+    """n ends of walks: fate, where they left the body (face among the body's, barycentric coordinates), and after how many
+    events: collisions and encounters with the boundary from within."""
 
     fate: Int[np.ndarray, " n"]
     face: Int[np.ndarray, " n"]
     u: Float[np.ndarray, " n"]
     v: Float[np.ndarray, " n"]
+    events: Int[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def follow(
         np.full(len(key), Fate.LOST, np.int8),
         np.zeros(len(key), np.int32),
         *(np.zeros(len(key), np.float32) for _ in "uv"),
+        np.zeros(len(key), np.int32),
     )
     walks = _Walks(body, channel, ends, position, normal, direction, key)
     blocks = [slice(at, at + _BLOCK) for at in range(0, len(key), _BLOCK)]
@@ -219,7 +222,8 @@ class _Walks:
         some = np.flatnonzero(met)
         normal = body.normals[face[some]]
         cosine = np.einsum("nd,nd->n", direction[some], normal)
-        outward = cosine > 0  # else the walk only passes, by rounding, the surface it comes from
+        outward = cosine > 0  # else the walk only passes, by rounding, the surface that it comes from
+        place[some[~outward]] += body.gap * direction[some[~outward]]
         some, normal, cosine = some[outward], normal[outward], cosine[outward]
         out = choice[some] >= fresnel(np.minimum(cosine, 1.0), 1.0 / body.medium.ior)
         leaving, back = some[out], some[~out]
@@ -235,6 +239,7 @@ class _Walks:
         old = going & (active.count >= LONGEST)
         self.ends.fate[active.walk[old]] = Fate.ALIVE
         going &= ~old
+        self.ends.events[active.walk[~going]] = active.count[~going]
         return _Active(active.walk[going], place[going], direction[going], active.count[going] + np.uint64(1))
 
 
