@@ -181,6 +181,13 @@ def indirect(
     return final_gather(gather, radiosity(gather, albedo, direct, bounces - 1))
 
 
+@jax.jit
+def _with_brightest(leaving: Float[Array, "S 1"], scattering: Scattering, field: Float[Array, "S 1"]) -> Array:
+    """`leaving` and what media add to it from the irradiance `field`, each in the channel where that is most."""
+    channels = jnp.broadcast_to(field[:, :, None], (*field.shape, len(scattering.walks)))
+    return leaving.at[scattering.rows].add(jnp.max(scattering(channels), axis=2))
+
+
 def tail_bounds(
     gather: GatherOperator, albedo: Float[Array, "S C"], most: int, scattering: Scattering | None = None
 ) -> Float[np.ndarray, " bounces"]:
@@ -196,10 +203,7 @@ def tail_bounds(
     decay = []
     for _ in range(most + 1):
         leaving = worst[:, None] * field
-        if scattering is not None:
-            channels = jnp.broadcast_to(field[:, :, None], (*field.shape, len(scattering.walks)))
-            leaving = leaving.at[scattering.rows].add(jnp.max(scattering(channels), axis=2))
-        field = gather(leaving)
+        field = gather(leaving if scattering is None else _with_brightest(leaving, scattering, field))
         decay.append(float(jnp.max(field)))
         if decay[-1] == 0.0:
             break

@@ -49,7 +49,7 @@ class ShTexture(Method):
         centre = jnp.asarray(ds.transport.scene.bounds.mean(axis=0))
         if self.light == "indirect":
             return HarmonicIndirectModel(indirect, centre)
-        return HarmonicModel(direct + indirect, centre)
+        return HarmonicModel(all_light(ds.transport, direct, indirect), centre)
 
 
 def windowed_transfer(
@@ -58,7 +58,13 @@ def windowed_transfer(
     """Direct and indirect transfer vectors with the window in them, so that it costs nothing at run time."""
     damping = jnp.asarray(_WINDOWS[kind](order))[bands(order)]
     direct, indirect = transfer_vectors(transport, albedo, order)
-    seen = jnp.asarray(direct)[:, None]
-    if transport.walks is not None:
-        seen = seen * display_albedo(transport)[:, : albedo.shape[1], None]
-    return seen * damping, jnp.asarray(indirect) * damping
+    return jnp.asarray(direct)[:, None] * damping, jnp.asarray(indirect) * damping
+
+
+def all_light(
+    transport: Transport, direct: Float[Array, "T 1 K"], indirect: Float[Array, "T C K"]
+) -> Float[Array, "T C K"]:
+    """Transfer of direct and indirect light together, as receivers show them."""
+    if transport.walks is None:
+        return direct + indirect
+    return direct * display_albedo(transport)[:, : indirect.shape[1], None] + indirect

@@ -11,7 +11,7 @@ from prt_bench.dataset import LightingDataset
 from prt_bench.glossy import TripleModel
 from prt_bench.methods.base import Method
 from prt_bench.methods.operator import fit_albedo
-from prt_bench.methods.sh_texture import Window, windowed_transfer
+from prt_bench.methods.sh_texture import Window, all_light, windowed_transfer
 
 GREATEST = 8
 """Greatest order of a triple product: some 13,000 entries."""
@@ -44,5 +44,10 @@ class ShTriple(Method):
     def vectors(self, ds: LightingDataset) -> tuple[Float[Array, "T W K"], Float[Array, "3"]]:
         """Basis and centre of a `TripleModel`."""
         direct, indirect = windowed_transfer(ds.transport, fit_albedo(ds), self.order, self.window)
-        basis = jnp.concatenate([direct + indirect, direct], axis=1) if self.interreflection else direct
+        if self.interreflection:
+            basis = jnp.concatenate([all_light(ds.transport, direct, indirect), direct], axis=1)
+        elif ds.transport.walks is None:
+            basis = direct
+        else:  # bodies reflect direct light by their albedo alone
+            basis = jnp.concatenate([all_light(ds.transport, direct, jnp.zeros_like(indirect)), direct], axis=1)
         return basis, jnp.asarray(ds.transport.scene.bounds.mean(axis=0))

@@ -10,7 +10,7 @@ from prt_bench.dataset import LightingDataset
 from prt_bench.harmonic import VertexHarmonicModel
 from prt_bench.methods.base import Method
 from prt_bench.methods.operator import fit_albedo
-from prt_bench.methods.sh_texture import HIGHEST, Window, windowed_transfer
+from prt_bench.methods.sh_texture import HIGHEST, Window, all_light, windowed_transfer
 
 
 @dataclass(frozen=True)
@@ -39,4 +39,5 @@ class ShVertex(Method):
         receivers = ds.transport.receivers
         corner = jnp.asarray(corners[receivers.face])
         centre = jnp.asarray(ds.transport.scene.bounds.mean(axis=0))
-        return VertexHarmonicModel(direct + indirect, centre, corner, jnp.asarray(receivers.barycentric))
+        basis = all_light(at_vertices, direct, indirect)
+        return VertexHarmonicModel(basis, centre, corner, jnp.asarray(receivers.barycentric))
