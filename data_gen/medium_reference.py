@@ -2,7 +2,7 @@
 
 A path goes on inside in directions of the interior cosine, weighted by what Fresnel lets in; it flies to the next scattering,
 and absorption weighs it along the way. So refraction, absorption and the weights of the two meet only in their expectation.
-Of `data_gen/effects` nothing is used.
+Of `data_gen/medium_walk.py` nothing is used.
 """
 
 from dataclasses import replace

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from data_gen.atlas import check_mips, padding
 from data_gen.effects.subsurface import check_closed, predicted_events
+from data_gen.effects.subsurface import media, predicted_events, predicted_walks
 from data_gen.hull import check_hull
 from data_gen.sampling import check_measurements
 from data_gen.scenarios import check_scenario
@@ -164,10 +165,10 @@ def plan(
             " leave it out, or ask for fewer gather_texels"
         )
     bounces, bounce_reason = _bounces(scene.largest_albedo, tolerance, convex)
-    media = _media(scene)
+    bodies = media(scene)
     decisions = (
-        Decision("effects", "diffuse, subsurface", f"{_names(scene, media)} filled with a medium")
-        if media
+        Decision("effects", "diffuse, subsurface", f"{_names(scene, bodies)} filled with a medium")
+        if bodies
         else Decision(
             "effects",
             "diffuse",
@@ -203,9 +204,9 @@ def plan(
         if node_rays
         else Decision("receivers", "all traced", "interpolation of smooth light was not asked for (node_rays)"),
     )
-    if media:
+    if bodies:
         walks = f"{rays} walks per point" + ("" if channels == 1 else " and channel")
-        worst = max(predicted_events(scene, index) for index in media)
+        worst = max(predicted_events(scene, index) for index in bodies)
         decisions += (
             Decision("subsurface", walks, f"at most {worst:.0f} events each on average, by the bodies' size"),
         )
@@ -216,7 +217,7 @@ def plan(
     if texture_set:
         decisions += (Decision("lightmap", "a texture set", "as asked: every material has a square of its own"),)
     draft = Plan(
-        texels, gather, rays, bounces, tolerance, channels, convex, ("subsurface",) if media else (), vertices,
+        texels, gather, rays, bounces, tolerance, channels, convex, ("subsurface",) if bodies else (), vertices,
         decisions, Cost(0, 0, 0, 0, 0.0),
         node_rays, node_tolerance, mips, texture_set,
     )  # fmt: skip
@@ -225,30 +226,10 @@ def plan(
     return replace(draft, cost=_predict(draft, scene, scenario, count, dense, workers, streamed))
 
 
-def _media(scene: Scene) -> list[int]:
-    """Indices of the materials with a medium, whose faces are closed. Raises `SceneError` where they are not."""
-    if not scene.translucent:
-        return []
-    media = [int(i) for i in np.unique(scene.mesh.material) if scene.materials[i].subsurface is not None]
-    for index in media:
-        check_closed(scene, index)
-    return media
-
-
-def _names(scene: Scene, media: list[int]) -> str:
-    names = [f"'{scene.materials[index].name}'" for index in media]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names) + (
-        " are" if len(names) > 1 else " is"
-    )
-
-
-def _walked(scene: Scene, channels: int) -> tuple[float, float]:
-    """Walks and ray queries that translucent bodies call for, both per ray of a point anywhere in the scene."""
-    walks = queries = 0.0
-    for index in _media(scene):
-        share = scene.mesh.areas[scene.mesh.material == index].sum() / scene.mesh.areas.sum() * channels
-        walks, queries = walks + share, queries + share * predicted_events(scene, index)
-    return walks, queries
+def _names(scene: Scene, indices: list[int]) -> str:
+    """Materials as the subject of a sentence."""
+    names = [f"'{scene.materials[index].name}'" for index in indices]
+    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'}"
 
 
 def _bounces(albedo: float, tolerance: float, convex: str | None) -> tuple[int, str]:
@@ -311,7 +292,7 @@ def _predict(
     disk = 2 * pairs + pairs // 4 + gather_rays * 2 + 4 * samples * streamed
     if scene.translucent:
         starts = (receivers + (0 if shared else samples) + draft.vertices * len(scene.mesh.vertices)) * draft.rays
-        walks, queries = _walked(scene, draft.channels)
+        walks, queries = predicted_walks(scene, draft.channels)
         gather_rays += int(starts * queries)
         disk += int(2 * starts * walks)
         seconds += starts * queries / ray_rate

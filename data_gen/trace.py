@@ -14,7 +14,7 @@ from data_gen.plan import Plan
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from data_gen.vertices import shading_vertices
-from prt_bench.dataset import Transport, read_walks
+from prt_bench.dataset import Transport
 from prt_bench.errors import SpecError
 from prt_bench.hemisphere import SAMPLER, HemisphereSampler
 from prt_bench.points import SurfacePoints
@@ -22,6 +22,7 @@ from prt_bench.progress import track
 from prt_bench.scene import Scene
 from prt_bench.store import FORMAT, write_array, write_lightmap, write_points, write_scene
 from prt_bench.transport import GatherOperator, Scattering, tail_bounds
+from prt_bench.walks import read_walks
 
 CHUNK = 1 << 14
 """Receivers that are traced, lit and stored together."""

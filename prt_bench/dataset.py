@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int
@@ -23,6 +22,7 @@ from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Scene
 from prt_bench.store import camera_from_json, member, open_group, read_lightmap, read_points, read_scene
 from prt_bench.transport import GatherOperator, Scattering
+from prt_bench.walks import Walks, WalkTable, half_columns, read_walks
 
 _ARRAYS = ("measured", "direct", "indirect", "indirect_half", "noise")
 _STREAMED = ("streamed_direct", "streamed_measured")
@@ -54,7 +54,7 @@ class Transport:
     sampler: HemisphereSampler | None = None
     vertices: "Vertices | None" = None
     nodes: "Nodes | None" = None
-    walks: "Walks | None" = None
+    walks: Walks | None = None
 
     @classmethod
     def open(cls, path: Path) -> "Transport":
@@ -127,13 +127,13 @@ class Transport:
         """The same to some of the receivers; to all of them, where not all were traced."""
         return self.walks and self._scattering(self.walks.receivers, rows, half, differentiable)
 
-    def _scattering(self, table: "WalkTable | None", rows: slice, half: int | None, differentiable: bool) -> Scattering:
+    def _scattering(self, table: WalkTable | None, rows: slice, half: int | None, differentiable: bool) -> Scattering:
         assert table is not None, "walks are traced from every set of points"
         assert self.walks is not None
         return table.scattering(len(self.samples), self.walks.colour, rows, half, differentiable)
 
     def _operator(self, table: Any, rows: slice, half: int | None, differentiable: bool) -> GatherOperator:
-        hits = np.asarray(table[rows, _columns(table.shape[1], half)], np.int32)
+        hits = np.asarray(table[rows, half_columns(table.shape[1], half)], np.int32)
         return GatherOperator.from_hits(hits, len(self.samples), differentiable)
 
 
@@ -163,45 +163,6 @@ class Nodes(NamedTuple):
     sampler: HemisphereSampler
     corner: Int[np.ndarray, "T 4"]
     weight: Float[np.ndarray, "T 4"]
-
-
-class WalkTable(NamedTuple):
-    """Where walks from the translucent ones of some points, `rows` [p], left the body: `ends` [p, D, W] samples, or S for none.
-    D is 1 for grey media, otherwise one for each channel. `material` [p] is that of the body."""
-
-    rows: Int[np.ndarray, " p"]
-    material: Int[np.ndarray, " p"]
-    ends: Int[np.ndarray, "p D W"] | zarr.Array
-
-    def scattering(
-        self,
-        samples: int,
-        colour: Float[np.ndarray, "materials 3"],
-        among: slice = slice(None),
-        half: int | None = None,
-        differentiable: bool = False,
-    ) -> Scattering:
-        """The operator to some `among` the points; `half` 0 or 1 takes one half of the walks."""
-        start, stop, _ = among.indices(int(np.iinfo(np.int32).max))
-        first, last = np.searchsorted(self.rows, (start, stop))
-        ends = np.asarray(self.ends[first:last, :, _columns(self.ends.shape[2], half)], np.int32)
-        walks = [GatherOperator.from_hits(medium, samples, differentiable) for medium in np.moveaxis(ends, 1, 0)]
-        tints = jnp.asarray(colour[self.material[first:last]])
-        return Scattering(jnp.asarray(self.rows[first:last] - start), tuple(walks), tints)
-
-
-class Walks(NamedTuple):
-    """Walks from all points of a transport, and what became of them.
-
-    `colour` [materials, 3] is the share that a translucent body returns of light that is the same everywhere, the mean over its
-    receivers, and 1 for other materials. `fates` counts walks by material, fate and channel.
-    """
-
-    receivers: WalkTable | None
-    samples: WalkTable
-    vertices: WalkTable | None
-    colour: Float[np.ndarray, "materials 3"]
-    fates: Mapping[str, Mapping[str, list[int]]]
 
 
 class Streamed(NamedTuple):
@@ -369,33 +330,6 @@ def _read_vertices(group: Any) -> Vertices | None:
     return Vertices(
         read_points(group, "vertices"), np.asarray(member(group, "corner")[...]), member(group, "vertex_hits")
     )
-
-
-def _columns(rays: int, half: int | None) -> slice:
-    """All rays of a table, or one half of them."""
-    return slice(None) if half is None else slice(half * rays // 2, (half + 1) * rays // 2)
-
-
-def read_walks(group: Any) -> Walks | None:
-    """The walks of a transport store, None where there are no translucent bodies."""
-    if "walks" not in group:
-        return None
-    tables = {}
-    for name in ("receivers", "samples", "vertices"):
-        found = f"walks/{name}" in group
-        tables[name] = (
-            WalkTable(
-                *(np.asarray(member(group, f"walks/{name}/{part}")[...]) for part in ("rows", "material")),
-                member(group, f"walks/{name}/ends"),
-            )
-            if found
-            else None
-        )
-    samples = tables["samples"] or tables["receivers"]
-    assert samples is not None
-    fates = json.loads(str(group["walks"].attrs["fates"]))
-    colour = np.asarray(member(group, "walks/colour")[...])
-    return Walks(tables["receivers"], samples, tables["vertices"], colour, fates)
 
 
 def _read_nodes(group: Any) -> Nodes | None:

@@ -27,6 +27,7 @@ READ_BY_BAKE = (
     "visibility",
     "points",
     "transport",
+    "walks",
     "dataset",
     "clip",
     "store",
@@ -178,6 +179,7 @@ def test_the_reference_tracer_shares_no_operator_code(name: str):
         "data_gen.light",
         "data_gen.bake",
         "data_gen.effects",
+        "data_gen.medium_walk",
     )
     assert not [name for name in imports(files("data_gen")[f"data_gen/{name}.py"]) if within(name, *operator)]
 

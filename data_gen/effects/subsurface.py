@@ -1,19 +1,11 @@
-"""Subsurface scattering: random walks through the bodies of translucent materials, from each point to where light came in.
+"""Subsurface scattering: a sparse, light-independent map from irradiance at gather samples to what leaves translucent points.
 
-A walk starts outside, at a point x_o with a cosine-weighted direction, enters by Fresnel's law and is followed backwards until
-it leaves the body at x_i or is absorbed. Diffuse light that enters at x_i leaves at x_o with the same density as the other way
-round, by reciprocity, so the share of walks that end around x_i is K(x_o, x_i): the exitance at x_o per irradiance at x_i.
-
-Walks are analogue: a collision absorbs or scatters, a boundary reflects or lets through, nothing is weighted. So a walk is one
-sample index in a hit table, each channel has walks of its own (where they differ), and the counts of fates add up exactly.
-(Wang, Jacques and Zheng 1995, "MCML – Monte Carlo modeling of light transport in multi-layered tissues", for the events.)
+Walks (`data_gen/medium_walk.py`) are traced once from each such point and resolved to the samples where they end. So a walk is
+one index in a hit table, like a ray, and each channel has walks of its own where the medium is not grey. Checks of what can be
+walked in, what it is predicted to cost, and the tables in the store are here; their use is `prt_bench.transport.Scattering`.
 """
 
 import json
-from dataclasses import dataclass, replace
-from enum import IntEnum
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import zarr
@@ -21,77 +13,26 @@ from jaxtyping import Float, Int
 
 from data_gen.geometry import Part, is_closed
 from data_gen.journal import Journal, create_array
+from data_gen.medium_walk import LONGEST, Body, Ends, Fate, bodies, follow, walk_keys
 from data_gen.resolve import HitResolver
-from data_gen.tracer import Tracer
 from prt_bench.errors import SceneError
-from prt_bench.hemisphere import HemisphereSampler, hashed, tangent_frames
-from prt_bench.medium import Subsurface, fresnel
+from prt_bench.hemisphere import HemisphereSampler, hashed
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.progress import say, track
-from prt_bench.scene import Mesh, Scene
+from prt_bench.scene import Scene
 from prt_bench.store import write_array
 
-LONGEST = 1 << 16
-"""Events after which a walk that is still alive is given up, and counted."""
 _POINTS = 1 << 11  # translucent points whose walks are traced and stored together
-_AT_ONCE = 1 << 15  # walks followed together by one worker
-_BLOCK = 1 << 18  # walks that one worker follows before it takes others
-_GAP = 2.0**-22  # how far below the surface a walk goes on, relative to the body's extent: some units of float32
-_STEP, _ENTRY, _PLACE = np.uint64(8), np.uint64(5), np.uint64(6)
+_PLACE = np.uint64(6)  # chooses the jitter of a walk's end
 
 
-class Fate(IntEnum):
-    """How a walk ended."""
-
-    ESCAPED = 0
-    ABSORBED = 1
-    REFLECTED = 2  # at the boundary, from outside: it never entered
-    ALIVE = 3  # after `LONGEST` events
-    LOST = 4  # by rounding, through an edge between two triangles
-
-
-class Ends(NamedTuple):
-    """n ends of walks: fate, where they left the body (face among the body's, barycentric coordinates), and after how many
-    events: collisions and encounters with the boundary from within."""
-
-    fate: Int[np.ndarray, " n"]
-    face: Int[np.ndarray, " n"]
-    u: Float[np.ndarray, " n"]
-    v: Float[np.ndarray, " n"]
-    events: Int[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class Body:
-    """The closed surfaces of one translucent material; walks see nothing else."""
-
-    medium: Subsurface
-    faces: Int[np.ndarray, " f"]
-    centre: Float[np.ndarray, "3"]
-    normals: Float[np.ndarray, "f 3"]
-    tracer: Tracer
-    extent: float
-
-    @property
-    def gap(self) -> float:
-        """How far below the surface walks go on."""
-        return _GAP * self.extent
-
-
-def bodies(scene: Scene, workers: int | None = None) -> dict[int, Body]:
-    """The bodies of a scene by material index. Raises `SceneError` for a medium in an open surface."""
-    found = {}
-    for index in np.unique(scene.mesh.material):
-        medium = scene.materials[index].subsurface
-        if medium is None:
-            continue
-        faces = np.flatnonzero(scene.mesh.material == index)
-        check_closed(scene, int(index))
-        # About the body's own middle float32 is finest.
-        centre = 0.5 * (scene.mesh.triangles[faces].min((0, 1)) + scene.mesh.triangles[faces].max((0, 1)))
-        mesh = Mesh(scene.mesh.vertices - centre, scene.mesh.faces[faces], scene.mesh.material[faces])
-        alone = replace(scene, mesh=mesh)
-        found[int(index)] = Body(medium, faces, centre, mesh.normals, Tracer(alone, workers), alone.extent)
+def media(scene: Scene) -> list[int]:
+    """Indices of the materials that hold a medium, all of whose faces are closed. Raises `SceneError` where they are not."""
+    if not scene.translucent:
+        return []
+    found = [int(i) for i in np.unique(scene.mesh.material) if scene.materials[i].subsurface is not None]
+    for index in found:
+        check_closed(scene, index)
     return found
 
 
@@ -126,166 +67,13 @@ def predicted_events(scene: Scene, material: int) -> float:
     return float(np.mean(1.0 + np.minimum(path * medium.extinction, alive)))
 
 
-def follow(
-    body: Body,
-    channel: int,
-    position: Float[np.ndarray, "n 3"],
-    normal: Float[np.ndarray, "n 3"],
-    direction: Float[np.ndarray, "n 3"],
-    key: Int[np.ndarray, " n"],
-) -> Ends:
-    """Follow walks that look from outside along unit `direction`s, up from the surface at `position`, backwards into the body.
-
-    `key` chooses each walk's random numbers, so that a walk does not depend on the others.
-    """
-    ends = Ends(
-        np.full(len(key), Fate.LOST, np.int8),
-        np.zeros(len(key), np.int32),
-        *(np.zeros(len(key), np.float32) for _ in "uv"),
-        np.zeros(len(key), np.int32),
-    )
-    walks = _Walks(body, channel, ends, position, normal, direction, key)
-    blocks = [slice(at, at + _BLOCK) for at in range(0, len(key), _BLOCK)]
-    with body.tracer.pool() as executor:
-        list(executor.map(walks.run, blocks))
-    return ends
-
-
-@dataclass(frozen=True)
-class _Walks:
-    """Walks in one channel of a body; `run` follows a block of them."""
-
-    body: Body
-    channel: int
-    ends: Ends
-    position: Float[np.ndarray, "n 3"]
-    normal: Float[np.ndarray, "n 3"]
-    direction: Float[np.ndarray, "n 3"]
-    key: Int[np.ndarray, " n"]
-
-    @cached_property
-    def _medium(self) -> tuple[float, float]:
-        return float(self.body.medium.extinction[self.channel]), float(self.body.medium.albedo[self.channel])
-
-    def run(self, block: slice) -> None:
-        """Follow the walks of a block, new ones taking the place of those that ended."""
-        start, last = block.start, min(block.stop, len(self.key))
-        active = self._enter(np.arange(start, start))
-        while start < last or len(active.walk):
-            if len(active.walk) < _AT_ONCE // 2 and start < last:
-                fresh = np.arange(start, min(start + _AT_ONCE - len(active.walk), last))
-                start = int(fresh[-1]) + 1
-                active = active.with_more(self._enter(fresh))
-            active = self._advance(active)
-
-    def _enter(self, walk: Int[np.ndarray, " n"]) -> "_Active":
-        """Refract walks into the body; those that the boundary reflects end here."""
-        ior, n, away = self.body.medium.ior, self.normal[walk], self.direction[walk]
-        cosine = np.clip(np.einsum("nd,nd->n", away, n), 0.0, 1.0)
-        reflected = uniform(self.key[walk], _ENTRY) < fresnel(cosine, ior)
-        self.ends.fate[walk[reflected]] = Fate.REFLECTED
-        walk, n, away, cosine = walk[~reflected], n[~reflected], away[~reflected], cosine[~reflected]
-        # Snell's law, for light that arrives along −away.
-        through = np.sqrt(1.0 - (1.0 - cosine**2) / ior**2)
-        inside = (cosine / ior - through)[:, None] * n - away / ior
-        place = self.position[walk] - self.body.centre - self.body.gap * n
-        return _Active(walk, place, normalised(inside), np.ones(len(walk), np.uint64))
-
-    def _advance(self, active: "_Active") -> "_Active":
-        """One event of each walk: a collision in the medium, or the boundary."""
-        body, (extinction, albedo) = self.body, self._medium
-        key = self.key[active.walk] + active.count * _STEP
-        # u < 1, so the logarithm is finite; u = 0 is a step of no length.
-        step = -np.log1p(-uniform(key, np.uint64(0))) / extinction
-        reach = np.minimum(step, 4.0 * body.extent).astype(np.float32)
-        found = body.tracer.trace(active.place.astype(np.float32), active.direction.astype(np.float32), reach)
-        face = found["primID"]
-        met = face >= 0
-        lost = ~met & (step >= 4.0 * body.extent)
-        self.ends.fate[active.walk[lost]] = Fate.LOST
-
-        away = ~met & ~lost
-        place = active.place + np.where(met, found["tfar"], step)[:, None] * active.direction
-        direction, going = active.direction.copy(), ~lost
-        choice = uniform(key, np.uint64(1))
-        absorbed = away & (choice >= albedo)
-        self.ends.fate[active.walk[absorbed]] = Fate.ABSORBED
-        going &= ~absorbed
-        some = np.flatnonzero(away & ~absorbed)
-        direction[some] = scattered(
-            active.direction[some],
-            body.medium.anisotropy,
-            uniform(key[some], np.uint64(2)),
-            uniform(key[some], np.uint64(3)),
-        )
-
-        some = np.flatnonzero(met)
-        normal = body.normals[face[some]]
-        cosine = np.einsum("nd,nd->n", direction[some], normal)
-        outward = cosine > 0  # else the walk only passes, by rounding, the surface that it comes from
-        place[some[~outward]] += body.gap * direction[some[~outward]]
-        some, normal, cosine = some[outward], normal[outward], cosine[outward]
-        out = choice[some] >= fresnel(np.minimum(cosine, 1.0), 1.0 / body.medium.ior)
-        leaving, back = some[out], some[~out]
-        walk = active.walk[leaving]
-        self.ends.fate[walk] = Fate.ESCAPED
-        self.ends.face[walk], self.ends.u[walk], self.ends.v[walk] = (
-            found[name][leaving] for name in ("primID", "u", "v")
-        )
-        going[leaving] = False
-        direction[back] -= 2.0 * cosine[~out, None] * normal[~out]
-        place[back] -= body.gap * normal[~out]
-
-        old = going & (active.count >= LONGEST)
-        self.ends.fate[active.walk[old]] = Fate.ALIVE
-        going &= ~old
-        self.ends.events[active.walk[~going]] = active.count[~going]
-        return _Active(active.walk[going], place[going], direction[going], active.count[going] + np.uint64(1))
-
-
-class _Active(NamedTuple):
-    """Walks on their way: which, where (about the body's middle), in which unit direction, and after how many events."""
-
-    walk: Int[np.ndarray, " n"]
-    place: Float[np.ndarray, "n 3"]
-    direction: Float[np.ndarray, "n 3"]
-    count: Int[np.ndarray, " n"]
-
-    def with_more(self, other: "_Active") -> "_Active":
-        return _Active(*(np.concatenate(both) for both in zip(self, other, strict=True)))
-
-
-def scattered(
-    direction: Float[np.ndarray, "n 3"],
-    anisotropy: float,
-    first: Float[np.ndarray, " n"],
-    second: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "n 3"]:
-    """Unit directions after scattering by the Henyey–Greenstein phase function, from two uniform numbers each."""
-    g = anisotropy
-    if abs(g) < 1e-3:  # the inverse below divides by g; this is its expansion to first order
-        cosine = 2.0 * first - 1.0 + 6.0 * g * first * (1.0 - first)
-    else:
-        cosine = (1.0 + g * g - ((1.0 - g * g) / (1.0 + g - 2.0 * g * first)) ** 2) / (2.0 * g)
-    cosine = np.clip(cosine, -1.0, 1.0)
-    frames = tangent_frames(direction, 2.0 * np.pi * second)
-    return normalised(np.sqrt(1.0 - cosine**2)[:, None] * frames[:, 0] + cosine[:, None] * direction)
-
-
-def uniform(key: Int[np.ndarray, " n"], which: np.uint64) -> Float[np.ndarray, " n"]:
-    """The number of each key in [0, 1) that `which` names; of 53 bits, so never 1."""
-    return (hashed(key + which) >> np.uint64(11)).astype(np.float64) * 2.0**-53
-
-
-def walk_keys(points: Int[np.ndarray, " p"], walks: int, seed: int) -> Int[np.ndarray, "p W"]:
-    """A key for each walk of each point, far from those of all others."""
-    point = hashed(points.astype(np.uint64) + (np.uint64(seed) << np.uint64(40)))
-    return hashed(point[:, None] ^ hashed(np.arange(walks, dtype=np.uint64))[None])
-
-
-def normalised(vector: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors along the given ones."""
-    return vector / np.sqrt(np.einsum("nd,nd->n", vector, vector))[:, None]
+def predicted_walks(scene: Scene, channels: int) -> tuple[float, float]:
+    """Walks and ray queries that translucent bodies call for, both per ray of a point anywhere on the scene's surface."""
+    walks = queries = 0.0
+    for index in media(scene):
+        share = scene.mesh.areas[scene.mesh.material == index].sum() / scene.mesh.areas.sum() * channels
+        walks, queries = walks + share, queries + share * predicted_events(scene, index)
+    return walks, queries
 
 
 class WalkTracer:

@@ -8,9 +8,10 @@ import pytest
 import trimesh
 
 import prt_bench as prt
-from data_gen.effects import subsurface
-from data_gen.effects.subsurface import Ends, Fate, bodies, enclosed_volume, follow, scattered, uniform, walk_keys
+from data_gen import medium_walk
+from data_gen.effects.subsurface import enclosed_volume, predicted_events
 from data_gen.geometry import assemble, box
+from data_gen.medium_walk import Ends, Fate, bodies, follow, scattered, uniform, walk_keys
 from data_gen.reference import cosine_directions
 from prt_bench.errors import SceneError
 from prt_bench.medium import Subsurface, diffuse_reflectance, fresnel
@@ -188,7 +189,7 @@ def test_the_mean_path_does_not_depend_on_the_medium(medium: Subsurface) -> None
         error = collisions.std() / np.sqrt(len(collisions))
         assert abs(collisions.mean() - path * medium.extinction[0]) < 4 * error
         assert abs(collisions.mean() - 0.9 * path * medium.extinction[0]) > 4 * error
-    bound = subsurface.predicted_events(scene, 0)
+    bound = predicted_events(scene, 0)
     assert ends.events.mean() < 2.0 * bound  # the planner's: of the right size where walls reflect, too
     assert ends.events.mean() > 0.5 * bound
 
@@ -207,7 +208,7 @@ def test_thick_media_lose_nothing_and_a_short_limit_is_seen(monkeypatch: pytest.
     """Albedo 1 at an optical depth of 60: all light comes out in the end, and what a limit cuts off is counted."""
     scene = ball(grey(60.0, 0.0))
     assert np.all(walked(scene, 1000)[0].fate == Fate.ESCAPED)
-    monkeypatch.setattr(subsurface, "LONGEST", 64)
+    monkeypatch.setattr(medium_walk, "LONGEST", 64)
     fate = walked(scene, 1000)[0].fate
     assert 0.1 < np.mean(fate == Fate.ALIVE) < 0.4
     assert np.all((fate == Fate.ALIVE) | (fate == Fate.ESCAPED))

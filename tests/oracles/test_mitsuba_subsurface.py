@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from jaxtyping import Bool, Float
 
-from data_gen.effects.subsurface import Fate, bodies, follow, walk_keys
+from data_gen.medium_walk import Fate, bodies, follow, walk_keys
 from data_gen.reference import cosine_directions
 from prt_bench.medium import Subsurface, diffuse_reflectance
 from prt_bench.scene import Camera, Material, Mesh, Scene

@@ -1,0 +1,78 @@
+"""Tables of walks through translucent bodies, as a transport keeps them beside its hit tables.
+
+Tracing them is left to `data_gen/effects/subsurface.py`, applying them to `prt_bench.transport.Scattering`.
+"""
+
+import json
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import zarr
+from jaxtyping import Float, Int
+
+from prt_bench.store import member
+from prt_bench.transport import GatherOperator, Scattering
+
+
+class WalkTable(NamedTuple):
+    """Where walks from the translucent ones of some points, `rows` [p], left the body: `ends` [p, D, W] samples, or S for none.
+    D is 1 for grey media, otherwise one for each channel. `material` [p] is that of the body."""
+
+    rows: Int[np.ndarray, " p"]
+    material: Int[np.ndarray, " p"]
+    ends: Int[np.ndarray, "p D W"] | zarr.Array
+
+    def scattering(
+        self,
+        samples: int,
+        colour: Float[np.ndarray, "materials 3"],
+        among: slice = slice(None),
+        half: int | None = None,
+        differentiable: bool = False,
+    ) -> Scattering:
+        """The operator to some `among` the points; `half` 0 or 1 takes one half of the walks."""
+        start, stop, _ = among.indices(int(np.iinfo(np.int32).max))
+        first, last = np.searchsorted(self.rows, (start, stop))
+        ends = np.asarray(self.ends[first:last, :, half_columns(self.ends.shape[2], half)], np.int32)
+        walks = [GatherOperator.from_hits(medium, samples, differentiable) for medium in np.moveaxis(ends, 1, 0)]
+        tints = jnp.asarray(colour[self.material[first:last]])
+        return Scattering(jnp.asarray(self.rows[first:last] - start), tuple(walks), tints)
+
+
+class Walks(NamedTuple):
+    """Walks from all points of a transport, and what became of them.
+
+    `colour` [materials, 3] is the share that a translucent body returns of light that is the same everywhere, the mean over its
+    receivers, and 1 for other materials. `fates` counts walks by material, fate and channel.
+    """
+
+    receivers: WalkTable | None
+    samples: WalkTable
+    vertices: WalkTable | None
+    colour: Float[np.ndarray, "materials 3"]
+    fates: Mapping[str, Mapping[str, list[int]]]
+
+
+def half_columns(rays: int, half: int | None) -> slice:
+    """All rays of a table, or one half of them."""
+    return slice(None) if half is None else slice(half * rays // 2, (half + 1) * rays // 2)
+
+
+def read_walks(group: Any) -> Walks | None:
+    """The walks of a transport store, None where there are no translucent bodies."""
+    if "walks" not in group:
+        return None
+    tables: dict[str, WalkTable | None] = {}
+    for name in ("receivers", "samples", "vertices"):
+        place = f"walks/{name}"
+        tables[name] = None
+        if place in group:
+            rows, material = (np.asarray(member(group, f"{place}/{part}")[...]) for part in ("rows", "material"))
+            tables[name] = WalkTable(rows, material, member(group, f"{place}/ends"))
+    samples = tables["samples"] or tables["receivers"]
+    assert samples is not None
+    fates = json.loads(str(group["walks"].attrs["fates"]))
+    colour = np.asarray(member(group, "walks/colour")[...])
+    return Walks(tables["receivers"], samples, tables["vertices"], colour, fates)
