@@ -6,6 +6,7 @@ import numpy as np
 import zarr
 
 from data_gen.atlas import lightmap_points, unwrap
+from data_gen.effects.subsurface import VERSION as WALKS_VERSION
 from data_gen.effects.subsurface import WalkTracer, write_walks
 from data_gen.gather import buried, trace_hits
 from data_gen.journal import content_key, create_array, resumable
@@ -42,6 +43,7 @@ def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | N
             "rays": settings.rays,
             "tolerance": settings.tolerance,
             "effects": settings.effects,
+            **({"walks": WALKS_VERSION} if scene.translucent else {}),
             **({"vertices": True} if settings.vertices else {}),
             **({"nodes": [settings.node_rays, settings.node_tolerance]} if settings.node_rays else {}),
             **({"mips": settings.mips} if settings.mips else {}),

@@ -60,33 +60,30 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> LightingDataset:
     return prt.bake(room(), **SMALL, streamed=16, vertices=True, out=tmp_path_factory.mktemp("data"))
 
 
-def shown_radiosity(ds: LightingDataset) -> np.ndarray:
-    """κ y at translucent receivers, ρ y elsewhere: what leaves them of indirect light."""
-    assert ds.transport.walks is not None
-    owner = ds.scene.mesh.material[ds.points.face]
-    factor = np.where((owner == BALL)[:, None], ds.transport.walks.colour[owner], ds.points.albedo)
-    return ds.indirect * factor
-
-
 def test_the_operator_agrees_with_the_independent_path_tracer(tmp_path: Path) -> None:
-    """Through the medium, and between bodies and walls; both sides' noise taken out of the comparison."""
+    """Through the medium, and between bodies and walls; the oracle's noise taken out of the comparison."""
     scene = room(albedo=(0.03, 0.03, 0.03))
-    ds = prt.bake(scene, **{**SMALL, "texels": 64, "rays": 256, "lightings": 1}, out=tmp_path)
-    lit = prt.light(ds, [LAMP])
-    leaving, indirect = shown_radiosity(lit)[0], lit.indirect[0]
-    owner = scene.mesh.material[ds.points.face]
-    rng = np.random.default_rng(0)
+    transport = traced(scene, tmp_path, texels=48, rays=256)
+    points, albedo = transport.receivers, jnp.asarray(transport.samples.albedo, jnp.float32)
+    direct = jnp.asarray(direct_irradiance(Tracer(scene), transport.samples, emitters([LAMP])))
+    owner, rng = scene.mesh.material[points.face], np.random.default_rng(0)
     here = rng.choice(np.flatnonzero(owner == BALL), 300, replace=False)
-    there = rng.choice(np.flatnonzero((owner != BALL) & ~ds.transport.buried), 300, replace=False)
-    points = ds.points
-    through = leaving_light(scene, points.position[here], points.normal[here], points.face[here], LAMP, 512)
-    around = indirect_irradiance(scene, points.position[there], points.normal[there], LAMP, 512)
+    there = rng.choice(np.flatnonzero((owner != BALL) & ~transport.buried), 300, replace=False)
+    through = leaving_light(scene, points.position[here], points.normal[here], points.face[here], LAMP, 256)
+    around = indirect_irradiance(scene, points.position[there], points.normal[there], LAMP, 256)
+
+    def light(transport: Transport) -> np.ndarray:
+        return np.asarray(indirect_light(transport, direct, albedo), float)[0]
+
+    assert transport.walks is not None
+    indirect = light(transport)
+    leaving = indirect * transport.walks.colour[owner]
     for found, oracle in ((leaving[here], through), (indirect[there], around)):
         squared, uncertainty = squared_error(found, *oracle.halves)
         assert squared < 0.08**2 + 2 * uncertainty
         assert found.mean() == pytest.approx(oracle.mean.mean(), rel=0.03)
         assert squared_error(1.1 * found, *oracle.halves)[0] > squared + 0.003
-    without = prt.light(prt.bake(room(None), **{**SMALL, "texels": 64, "rays": 64}, out=tmp_path), [LAMP]).indirect[0]
+    without = light(replace(transport, walks=None))
     assert squared_error(without[there], *around.halves)[0] > 0.1**2  # the ground and the wall see the ball's light
 
 
@@ -210,19 +207,24 @@ def test_the_tail_bound_knows_of_bodies(dataset: LightingDataset) -> None:
     assert dataset.metadata["bounces"] >= 4
 
 
+ORACLES = ("projection", "reference")
+QUICK = {"mlp-coefficients": {"epochs": 2}, "mlp-decoder": {"epochs": 2}, "linear-finetuned": {"epochs": 2}}
+
+
 @pytest.mark.parametrize("name", sorted(prt.methods()))
 def test_every_method_runs_without_knowing(dataset: LightingDataset, name: str, tmp_path: Path) -> None:
-    """Fit, predict, export and load; those that say so stay linear in the light."""
-    model = prt.methods()[name]().fit(dataset.split("train"), jax.random.key(0))
+    """Fit, predict, evaluate; and what is exported says the same."""
+    model = prt.method(name, **QUICK.get(name, {})).fit(dataset.split("train"), jax.random.key(0))
     test = dataset.split("test")
     predicted = np.asarray(model.predict(test))
+    assert predicted.shape == test.indirect.shape
     assert np.all(np.isfinite(predicted))
-    asset = prt.load_asset(model.export(tmp_path / "asset").path)
-    again = np.asarray(asset.predict(test))
-    assert np.linalg.norm(again - predicted) <= 1e-3 * np.linalg.norm(predicted)
-    error = prt.evaluate(model, test).errors
-    assert error.relative_rmse is not None
-    assert 0 <= error.relative_rmse < np.inf
+    error = prt.evaluate(model, test).errors.relative_rmse
+    assert error is not None
+    assert 0 <= error < np.inf
+    if name not in ORACLES:
+        again = np.asarray(prt.load_asset(model.export(tmp_path / "asset").path).predict(test))
+        assert np.linalg.norm(again - predicted) <= 1e-3 * np.linalg.norm(predicted)
 
 
 def test_frames_show_light_times_colour(dataset: LightingDataset) -> None:
@@ -281,6 +283,7 @@ class TestAbsent:
         def refuse(*_: object, **__: object) -> None:
             raise AssertionError("a scene without media asked for walks")
 
+        assert "subsurface" in str(prt.plan(room()).to_json())
         for name in ("follow", "bodies", "write_walks", "WalkTracer", "check_closed", "predicted_events"):
             monkeypatch.setattr(subsurface, name, refuse)
         for name in ("write_walks", "WalkTracer"):
@@ -293,7 +296,6 @@ class TestAbsent:
         assert not [path for path in tmp_path.rglob("*") if "walks" in path.name]
         assert ds.metadata["effects"] == []
         assert not any("subsurface" in str(row) for row in ds.metadata["plan"])
-        assert "subsurface" in str(prt.plan(room()).to_json())
         np.testing.assert_array_equal(ds.shown_direct, ds.direct)
 
     def test_the_bake_is_bit_identical_where_the_operator_has_no_media(self, tmp_path: Path) -> None:
@@ -374,10 +376,10 @@ def test_a_scene_file_names_a_medium(tmp_path: Path) -> None:
             prt.load_scene(tmp_path / "b.toml")
 
 
-@pytest.mark.parametrize("settings", [{"gather_texels": 16, "node_rays": 64}])
+@pytest.mark.parametrize("settings", [{"gather_texels": 24, "node_rays": 32}])
 def test_coarser_samples_and_nodes_give_nearly_the_same(settings: dict[str, int], tmp_path: Path) -> None:
-    plain = {**SMALL, "texels": 32, "rays": 64, "lightings": 1}
-    whole, other = (prt.light(prt.bake(room(), **plain, **more, out=tmp_path), [LAMP]) for more in ({}, settings))
+    plain = {**SMALL, "scenario": "directional", "texels": 32, "rays": 64, "lightings": 1}
+    whole, other = (prt.bake(room(), **plain, **more, out=tmp_path) for more in ({}, settings))
     difference = np.linalg.norm(other.indirect - whole.indirect) / np.linalg.norm(whole.indirect)
     assert 0 < difference < 0.25
     assert other.indirect.mean() == pytest.approx(whole.indirect.mean(), rel=0.05)
