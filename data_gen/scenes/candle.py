@@ -39,7 +39,7 @@ def build() -> Scene:
         ring.transformed(rotation_about(1, 25.0), (0.25, 0.195 + _GAP, 0.05)),
         ball.transformed(np.eye(3), (-0.05, 0.13 + _GAP, 0.36)),
     ]
-    return Scene("candle", assemble(parts), materials, Camera((0.5, 0.75, 2.1), (-0.05, 0.24, 0.0), fov_y=33.0))
+    return Scene("candle", assemble(parts), materials, Camera((0.5, 1.2, 1.95), (-0.05, 0.2, 0.0), fov_y=33.0))
 
 
 _OUTLINE = np.array(
