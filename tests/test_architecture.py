@@ -25,6 +25,8 @@ READ_BY_BAKE = (
     "environment",
     "hemisphere",
     "visibility",
+    "implicit",
+    "spherical",
     "points",
     "transport",
     "walks",

@@ -16,6 +16,8 @@ _INCLUDE = re.compile(r'^#include "([\w./]+)"$', re.MULTILINE)
 _GENERATED = "generated/"
 
 Defines = Mapping[str, int | str]
+Pasted = Mapping[str, str]
+"""Code that a caller has written itself, by the name under which "generated/NAME" pastes it."""
 
 
 @lru_cache(maxsize=1)
@@ -28,11 +30,11 @@ def folder() -> Path:
     raise RuntimeUnavailable(f"the shaders are missing beside {package}; install prt-bench again")
 
 
-def source(name: str, defines: Defines | None = None) -> str:
+def source(name: str, defines: Defines | None = None, pasted: Pasted | None = None) -> str:
     """One shader stage: version, defines, then the file with each include pasted once, where it is first named.
 
     An include of "generated/NAME" pastes code that `generate` writes for the order that ORDER defines, or `layers` for the
-    shape that NETWORK defines, and nothing where neither is defined: what would use it is compiled out.
+    shape that NETWORK defines, and nothing where neither is defined: what would use it is compiled out. `pasted` comes first.
     """
     seen: set[str] = set()
 
@@ -41,22 +43,27 @@ def source(name: str, defines: Defines | None = None) -> str:
             return ""
         seen.add(file)
         if file.startswith(_GENERATED):
-            if (name := file.removeprefix(_GENERATED)) in layers.CODE:
+            name = file.removeprefix(_GENERATED)
+            if name in (pasted or {}):
+                return (pasted or {})[name]
+            if name in layers.CODE:
                 shape = (defines or {}).get("NETWORK")
                 return "" if shape is None else layers.CODE[name](str(shape))
             order = (defines or {}).get("ORDER")
-            return "" if order is None else CODE[file.removeprefix(_GENERATED)](int(order))
+            return "" if order is None else CODE[name](int(order))
         return _INCLUDE.sub(lambda match: paste(match[1]), (folder() / file).read_text(encoding="utf-8"))
 
     head = [VERSION, *(f"#define {key} {value}" for key, value in (defines or {}).items())]
     return "\n".join(head) + "\n" + paste(name)
 
 
-def program(context: moderngl.Context, vertex: str, fragment: str | None, defines: Defines) -> moderngl.Program:
+def program(
+    context: moderngl.Context, vertex: str, fragment: str | None, defines: Defines, pasted: Pasted | None = None
+) -> moderngl.Program:
     """A vertex and fragment program (depth only without a fragment stage)."""
     return context.program(
         vertex_shader=source(vertex, defines),
-        fragment_shader=source(fragment, defines) if fragment else None,
+        fragment_shader=source(fragment, defines, pasted) if fragment else None,
     )
 
 
@@ -68,6 +75,8 @@ def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
     return member
 
 
-def compute(context: moderngl.Context, name: str, defines: Defines) -> moderngl.ComputeShader:
+def compute(
+    context: moderngl.Context, name: str, defines: Defines, pasted: Pasted | None = None
+) -> moderngl.ComputeShader:
     """A compute program."""
-    return context.compute_shader(source(name, defines))
+    return context.compute_shader(source(name, defines, pasted))

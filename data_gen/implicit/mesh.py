@@ -1,0 +1,97 @@
+"""A triangle mesh as a signed distance on a grid.
+
+Distances are to triangles; which side a node lies on is voted by rays, so small holes and separate shells do no harm: where a
+hole leaves signs and distances at odds, the surface is closed between the nodes.
+"""
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from data_gen.tracer import Tracer
+from prt_bench.errors import SceneError
+from prt_bench.implicit.grid import GridDistance
+from prt_bench.progress import track
+from prt_bench.scene import Camera, Material, Mesh, Scene
+
+_CANDIDATES = 24  # triangles whose middles are nearest; the nearest of them is the nearest of all unless it is far away
+_NODES = 1 << 14
+_MARGIN = 3  # cells of free space around the mesh
+_MOST = 256
+
+
+def grid_of(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], side: int = 64) -> GridDistance:
+    """Distance to a mesh at `side`³ nodes, negative inside. Faces are counter-clockwise from outside.
+
+    Raises `SceneError` for an empty mesh, a side out of range, and a mesh without an inside.
+    """
+    if not 8 <= side <= _MOST:
+        raise SceneError(f"a grid of distances has {side} nodes a side, but needs from 8 to {_MOST}")
+    if not len(faces) or not np.all(np.isfinite(vertices)):
+        raise SceneError("a mesh without faces, or with vertices that are not finite, has no distance")
+    low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
+    cell = float(np.max(high - low)) / (side - 1 - 2 * _MARGIN)
+    corner = (low + high) / 2.0 - 0.5 * cell * (side - 1)
+    k, j, i = np.indices((side,) * 3).reshape(3, -1)
+    nodes = corner + cell * np.stack([i, j, k], axis=1)
+    distance = _to_triangles(nodes, vertices, faces, 2.0 * cell)
+    mesh = Mesh(np.asarray(vertices, float), np.asarray(faces), np.zeros(len(faces), int))
+    camera = Camera(tuple(high + 1.0), tuple(low))
+    inside = Tracer(Scene("mesh", mesh, (Material(),), camera)).inside(nodes)
+    if not inside.any():
+        raise SceneError(
+            "the mesh has no inside at this resolution; close its holes, turn its faces, or use more nodes"
+        )
+    closed = _closed(distance.reshape((side,) * 3), inside.reshape((side,) * 3), cell)
+    return GridDistance(closed.reshape(-1).astype(np.float32), tuple(map(float, corner)), cell)
+
+
+def _to_triangles(
+    nodes: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], longest: float
+) -> Float[np.ndarray, " n"]:
+    """Unsigned distance. Triangles are split until no edge is longer than `longest`, so that few of them can be nearest."""
+    fine, fine_faces = trimesh.remesh.subdivide_to_size(np.asarray(vertices, float), np.asarray(faces), longest, 20)
+    triangles = fine[fine_faces]
+    tree = KDTree(triangles.mean(axis=1))
+    found = np.empty(len(nodes))
+    count = min(_CANDIDATES, len(triangles))
+    for at in track(range(0, len(nodes), _NODES), "distance to a mesh"):
+        rows = slice(at, at + _NODES)
+        _, candidates = tree.query(nodes[rows], k=count, workers=-1)
+        candidates = candidates.reshape(-1, count)
+        corners = triangles[candidates].reshape(-1, 3, 3)
+        points = np.repeat(nodes[rows], count, axis=0)
+        nearest = trimesh.triangles.closest_point(corners, points)
+        found[rows] = np.linalg.norm(nearest - points, axis=1).reshape(-1, count).min(axis=1)
+    return found
+
+
+def _closed(distance: Float[np.ndarray, "G G G"], inside: np.ndarray, cell: float) -> Float[np.ndarray, "G G G"]:
+    """Signed distances whose size never exceeds a neighbour's of the same side by more than a cell, and half of one where
+    neighbours differ in sign."""
+    size = distance.copy()
+    for axis in range(3):
+        one, other = _pairs(axis)
+        across = inside[one] != inside[other]
+        for half in (one, other):
+            size[half] = np.where(across, np.minimum(size[half], cell), size[half])
+        open_ = across & (size[one] + size[other] > 1.5 * cell)
+        for half in (one, other):
+            size[half] = np.where(open_, 0.5 * cell, size[half])
+    for _ in range(max(size.shape)):
+        before = size.copy()
+        for axis in range(3):
+            one, other = _pairs(axis)
+            size[one] = np.minimum(size[one], size[other] + cell)
+            size[other] = np.minimum(size[other], size[one] + cell)
+        if np.array_equal(before, size):
+            break
+    return np.where(inside, -size, size)
+
+
+def _pairs(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Neighbours along an axis: all nodes but the last, all but the first."""
+    one, other = [slice(None)] * 3, [slice(None)] * 3
+    one[axis], other[axis] = slice(0, -1), slice(1, None)
+    return tuple(one), tuple(other)
