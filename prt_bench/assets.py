@@ -22,6 +22,7 @@ from prt_bench.glossy import BouncedTripleModel, FixedTripleModel, TripleModel
 from prt_bench.harmonic import HarmonicIndirectModel, HarmonicModel, VertexHarmonicModel
 from prt_bench.learned.fields import FieldModel
 from prt_bench.learned.models import ResidualModel
+from prt_bench.learned.transfer import HarmonicFieldModel
 from prt_bench.models import CoupledModel, LinearModel, Model, NearestModel
 
 FORMAT = "prt-bench runtime asset"
@@ -34,6 +35,7 @@ _MODELS: tuple[type[Model], ...] = (
     NearestModel,
     ResidualModel,
     FieldModel,
+    HarmonicFieldModel,
     HarmonicModel,
     HarmonicIndirectModel,
     VertexHarmonicModel,

@@ -1,5 +1,5 @@
 // Indirect light from a neural field: a network gives the basis functions at a place on the surface, and their coefficients
-// are summed as with textures. GRIDS of features are interpolated by hand, since samplers round what they interpolate.
+// are summed as with textures. With ROWS they are transfer vectors, LAYERS fours each, and add to that of an open surface. GRIDS of features are interpolated by hand, since samplers round what they interpolate.
 #include "network.glsl"
 
 struct Place { vec3 position; vec3 normal; };
@@ -60,8 +60,49 @@ void encode(vec3 place, vec3 normal, inout vec4 a[INPUTS]) {
     for (int i = 0; i < ENCODED; ++i) a[i] = vec4(x[4 * i], x[4 * i + 1], x[4 * i + 2], x[4 * i + 3]);
 }
 
+#ifdef SHARED_WEIGHTS
+#include "generated/shared_field"
+#else
 #include "generated/field"
+#endif
 
+#ifdef ROWS
+#include "generated/open"
+
+void transfer_vectors(Place place, out vec4 rows[ROWS * LAYERS]) {
+    field((place.position - BOX_MIDDLE) * BOX_SCALE, place.normal, rows);
+    float open[HARMONICS];
+    open_surface(place.normal, open);
+    for (int layer = 0; layer < LAYERS; ++layer) {
+        vec4 four_of = vec4(0.0);
+        for (int i = 0; i < 4; ++i)
+            if (4 * layer + i < HARMONICS) four_of[i] = open[4 * layer + i];
+        for (int row = 0; row < ROWS; ++row) rows[row * LAYERS + layer] += four_of;
+    }
+}
+
+// Irradiance from the first rows: one for all channels, or one each.
+vec3 irradiance_of(vec4 rows[ROWS * LAYERS]) {
+    vec3 sum = vec3(0.0);
+    for (int layer = 0; layer < LAYERS; ++layer) {
+        int b = 4 * layer;
+        mat4x3 u = mat4x3(coefficients[b].rgb, coefficients[b + 1].rgb, coefficients[b + 2].rgb, coefficients[b + 3].rgb);
+#if DIFFUSE_ROWS == 1
+        sum += u * rows[layer];
+#else
+        mat3x4 by_channel = transpose(u);
+        for (int c = 0; c < 3; ++c) sum[c] += dot(by_channel[c], rows[c * LAYERS + layer]);
+#endif
+    }
+    return sum;
+}
+
+vec3 field_light() {
+    vec4 rows[ROWS * LAYERS];
+    transfer_vectors(place_on_surface, rows);
+    return irradiance_of(rows);
+}
+#else
 vec3 field_light() {
     vec4 phi[LAYERS];
     field((place_on_surface.position - BOX_MIDDLE) * BOX_SCALE, place_on_surface.normal, phi);
@@ -72,3 +113,4 @@ vec3 field_light() {
     }
     return sum;
 }
+#endif

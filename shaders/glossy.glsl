@@ -23,6 +23,20 @@ vec3 gloss_of_surfaces(vec2 uv, float lobe_at[HARMONICS]) {
 }
 #endif
 
+// What reaches the lobe, of light that `visible` lets through.
+vec3 gloss_of(float visible[HARMONICS], float lobe_at[HARMONICS]) {
+#ifdef FIXED
+    return bilinear(visible, lobe_at);
+#else
+    float q[HARMONICS];
+    product(visible, lobe_at, q);
+    vec3 sum = vec3(0.0);
+    for (int k = 0; k < HARMONICS; ++k) sum += coefficients[k].rgb * q[k];
+    return sum;
+#endif
+}
+
+#ifndef ROWS
 vec3 gloss(vec2 uv, vec3 mirror, float exponent) {
     float lobe_at[HARMONICS], transfer[4 * LAYERS];
     harmonics(mirror, lobe_at);
@@ -36,16 +50,10 @@ vec3 gloss(vec2 uv, vec3 mirror, float exponent) {
     }
     float visible[HARMONICS];
     for (int k = 0; k < HARMONICS; ++k) visible[k] = transfer[k];
-#ifdef FIXED
-    return bilinear(visible, lobe_at);
-#else
-    float q[HARMONICS];
-    product(visible, lobe_at, q);
-    vec3 sum = vec3(0.0);
-    for (int k = 0; k < HARMONICS; ++k) sum += coefficients[k].rgb * q[k];
-#ifdef BOUNCED
+    vec3 sum = gloss_of(visible, lobe_at);
+#if defined(BOUNCED) && !defined(FIXED)
     sum += gloss_of_surfaces(uv, lobe_at);
 #endif
     return sum;
-#endif
 }
+#endif

@@ -6,6 +6,7 @@ The abstract class and the writer of code live here; the shapes are in `shapes.p
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import equinox as eqx
@@ -136,19 +137,24 @@ def padded_size(count: int) -> int:
     return size
 
 
-def code_of(shape: Distance) -> tuple[str, Float[np.ndarray, " G"]]:
-    """GLSL of `float distance_at(vec3)` and of `vec4 sloped_distance(vec3)`, ∇d and d, and the tables that both look up.
+def code_of(*shapes: Distance) -> tuple[str, Float[np.ndarray, " G"]]:
+    """GLSL for the union of shapes, and the tables that it looks up: `float distance_at(vec3)`, `vec4 sloped_distance(vec3)`
+    with ∇d and d, and `int part_at(vec3)`, the shape that is nearest.
 
-    Both are the same lines, once on numbers and once on dual numbers (see `dual.glsl`): the gradient is that of JAX.
+    The first two are the same lines, once on numbers and once on dual numbers (see `dual.glsl`): the gradient is that of JAX.
     """
     write = Writer()
-    found = shape.code(write, ("x", "y", "z"))
+    found = [shape.code(write, ("x", "y", "z")) for shape in shapes]
+    union = reduce(lambda a, b: f"least({a}, {b})", found)
     body = "".join(f"    {line}\n" for line in write.lines)
-    plain = f"float distance_at(vec3 p) {{\n    Number x = p.x, y = p.y, z = p.z;\n{body}    return {found};\n}}\n"
+    place = "    float x = p.x, y = p.y, z = p.z;\n"
+    plain = f"float distance_at(vec3 p) {{\n{place}{body}    return {union};\n}}\n".replace("Number", "float")
     dual = (
-        "vec4 sloped_distance(vec3 p) {\n    Number x = vec4(1.0, 0.0, 0.0, p.x);\n"
-        "    Number y = vec4(0.0, 1.0, 0.0, p.y);\n    Number z = vec4(0.0, 0.0, 1.0, p.z);\n"
-        f"{body}    return {found};\n}}\n"
+        "vec4 sloped_distance(vec3 p) {\n    vec4 x = vec4(1.0, 0.0, 0.0, p.x), y = vec4(0.0, 1.0, 0.0, p.y);\n"
+        f"    vec4 z = vec4(0.0, 0.0, 1.0, p.z);\n{body}    return {union};\n}}\n"
+    ).replace("Number", "vec4")
+    choice = f"    int part = 0;\n    float nearest = {found[0]};\n" + "".join(
+        f"    if ({each} < nearest) {{ part = {at}; nearest = {each}; }}\n" for at, each in enumerate(found) if at
     )
-    tables = np.concatenate([*write.grids, np.zeros(1, np.float32)])
-    return plain.replace("Number", "float") + dual.replace("Number", "vec4"), tables
+    part = f"int part_at(vec3 p) {{\n{place}{body}{choice}    return part;\n}}\n".replace("Number", "float")
+    return plain + dual + part, np.concatenate([*write.grids, np.zeros(1, np.float32)])

@@ -19,7 +19,8 @@ from prt_bench.implicit.scene import OFFSET, ImplicitScene
 STEPS = 256
 """After as many a ray counts as having hit where it is: it creeps along a surface."""
 _PHASE = 16
-_MARGIN = 8.0  # by which rays go on beyond the scene's box, in hit tolerances
+MARGIN = 8.0
+"""By how many hit tolerances rays go on beyond the scene's box."""
 _BATCH = 1 << 16
 
 
@@ -81,7 +82,7 @@ def _march(
 
 def through(scene: ImplicitScene, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where rays enter and leave the scene's box, widened by a few hit tolerances; entered at 0 from within."""
-    low, high = scene.bounds + _MARGIN * scene.tolerance * np.array([[-1.0], [1.0]])
+    low, high = scene.bounds + MARGIN * scene.tolerance * np.array([[-1.0], [1.0]])
     with np.errstate(divide="ignore", invalid="ignore"):
         a = (low.astype(np.float32) - origins) / directions
         b = (high.astype(np.float32) - origins) / directions

@@ -4,7 +4,7 @@ What a field is fitted to, and how, is no concern of this module.
 """
 
 from collections.abc import Mapping
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from prt_bench.learned.models import History
 from prt_bench.learned.networks import Network, magnitudes
+from prt_bench.linalg import relative_damping, ridge
 from prt_bench.models import LinearModel, Model
 
 Encoding = Literal["none", "frequency", "grid"]
@@ -22,6 +23,7 @@ OCTAVES = 4
 LEVELS = (8, 16, 32)
 """Nodes along a side of each grid of features, two at every node (after Müller et al. 2022, dense instead of hashed)."""
 FEATURES = 2
+_HEAD_RIDGE = 1e-6
 
 
 class Field(eqx.Module):
@@ -62,6 +64,12 @@ class Field(eqx.Module):
             parts += [jnp.sin(angle), jnp.cos(angle)]
         return jnp.concatenate([*parts, *(interpolated(grid, place) for grid in self.grids)], axis=1)
 
+    def with_closed_head(
+        self, position: Float[Array, "P 3"], normal: Float[Array, "P 3"], target: Float[Array, "P B"]
+    ) -> "Field":
+        """The same features under the head that is the ridge regression of targets at points with normals."""
+        return _with_closed_head(self, position, normal, target)
+
     def features(self, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]) -> Float[Array, "P h"]:
         """What the head weighs."""
         return self.network(self.encoded(position, normal))
@@ -69,6 +77,28 @@ class Field(eqx.Module):
     def __call__(self, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]) -> Float[Array, "P B"]:
         """The basis functions at points with normals."""
         return jnp.einsum("ph,bh->pb", self.features(position, normal), self.head, precision="highest")
+
+
+def box_of(position: Float[Array, "P 3"]) -> Float[Array, "4"]:
+    """Middle of the points' box, and one over half of its longest side."""
+    low, high = jnp.min(position, axis=0), jnp.max(position, axis=0)
+    return jnp.append((low + high) / 2, 2.0 / jnp.maximum(jnp.max(high - low), np.finfo(np.float32).tiny))
+
+
+def field_of(weights: Any, box: Float[Array, "4"]) -> Field:
+    """The field of what is trained: network, head and grids."""
+    network, head, grids = weights
+    octaves = (network.sizes[0] - 6 - sum(grid.shape[1] for grid in grids)) // 6
+    return Field(network, head, box, grids, octaves)
+
+
+@jax.jit
+def _with_closed_head(
+    start: Field, position: Float[Array, "P 3"], normal: Float[Array, "P 3"], target: Float[Array, "P B"]
+) -> Field:
+    features = start.features(position, normal).astype(jnp.float64).T
+    head = ridge(features, target.astype(jnp.float64).T, relative_damping(features, _HEAD_RIDGE))
+    return Field(start.network, head.astype(jnp.float32), start.box, start.grids, start.octaves)
 
 
 def interpolated(grid: Float[Array, "G3 2"], place: Float[Array, "P 3"]) -> Float[Array, "P 2"]:

@@ -6,19 +6,16 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from prt_bench.dataset import LightingDataset
-from prt_bench.learned.fields import Encoding, Field, FieldModel
+from prt_bench.learned.fields import Encoding, Field, FieldModel, box_of, field_of
 from prt_bench.learned.light import any_order_mean, in_float32
 from prt_bench.learned.losses import power_of_two, relative_square, square
 from prt_bench.learned.start import Start, start_from
 from prt_bench.learned.training import Schedule, train
 from prt_bench.linalg import relative_damping, ridge
 from prt_bench.methods.base import Method
-
-_HEAD_RIDGE = 1e-6
 
 
 class _Texels(NamedTuple):
@@ -84,33 +81,18 @@ class MlpDecoder(Method):
         coefficients = held.targets / (weight / scale)[:, None]
         coefficients = jnp.where((weight > 0)[:, None], coefficients, 0.0).astype(jnp.float32)
         first, second = jax.random.split(jax.random.key(0) if key is None else key)
-        begun = _with_closed_head(
-            Field.random(first, self.encoding, _box(place[0]), self.width, self.depth, self.basis), texels
-        )
+        begun = Field.random(first, self.encoding, box_of(place[0]), self.width, self.depth, self.basis)
+        begun = begun.with_closed_head(*texels)
         loss = {"square": _square_loss, "relative": _relative_loss}[self.loss]
         trained = train(
             (begun.network, begun.head, begun.grids), (begun.box, jnp.sqrt(jnp.mean(texels.target**2))), texels,
             (texels, coefficients), loss, _score, Schedule(self.epochs, 1024, self.rate, patience=40), second,
             self.label, Path(self.checkpoint) if self.checkpoint else None,
         )  # fmt: skip
-        found = _field(trained.weights, begun.box)
+        found = field_of(trained.weights, begun.box)
         position, normal = (part.astype(jnp.float64) for part in place)
         codes = _codes(found(position, normal), linear.basis, linear.weights)
         return FieldModel(found, codes, position, normal, linear.singular_values, trained.history)
-
-
-def _box(position: Float[Array, "T 3"]) -> Float[Array, "4"]:
-    """Middle of the texels' box, and one over half of its longest side."""
-    low, high = jnp.min(position, axis=0), jnp.max(position, axis=0)
-    return jnp.append((low + high) / 2, 2.0 / jnp.maximum(jnp.max(high - low), np.finfo(np.float32).tiny))
-
-
-@jax.jit
-def _with_closed_head(start: Field, texels: _Texels) -> Field:
-    """The field whose head is the ridge regression of the targets on its features."""
-    features = start.features(texels.position, texels.normal).astype(jnp.float64).T
-    head = ridge(features, texels.target.astype(jnp.float64).T, relative_damping(features, _HEAD_RIDGE))
-    return Field(start.network, head.astype(jnp.float32), start.box, start.grids, start.octaves)
 
 
 @jax.jit
@@ -122,26 +104,20 @@ def _codes(
     return jnp.einsum("bk,wkm->wbm", answer, weights, precision="highest")
 
 
-def _field(weights: Any, box: Float[Array, "4"]) -> Field:
-    network, head, grids = weights
-    octaves = (network.sizes[0] - 6 - sum(grid.shape[1] for grid in grids)) // 6
-    return Field(network, head, box, grids, octaves)
-
-
 def _square_loss(weights: Any, fixed: tuple[Array, Array], batch: _Texels, key: jax.Array) -> Float[Array, ""]:
     """Mean squared error of a texel's weighted functions: that of its light."""
-    return square(_field(weights, fixed[0])(batch.position, batch.normal), batch.target)
+    return square(field_of(weights, fixed[0])(batch.position, batch.normal), batch.target)
 
 
 def _relative_loss(weights: Any, fixed: tuple[Array, Array], batch: _Texels, key: jax.Array) -> Float[Array, ""]:
     """The same relative to the texel's own size."""
-    return relative_square(_field(weights, fixed[0])(batch.position, batch.normal), batch.target, fixed[1])
+    return relative_square(field_of(weights, fixed[0])(batch.position, batch.normal), batch.target, fixed[1])
 
 
 def _score(weights: Any, fixed: tuple[Array, Array], held: tuple[_Texels, Array]) -> Float[Array, ""]:
     """Squared error of the light of the lightings held out, relative to it, by the errors of the functions at all texels."""
     texels, coefficients = held
-    missed = _field(weights, fixed[0])(texels.position, texels.normal) - texels.target
+    missed = field_of(weights, fixed[0])(texels.position, texels.normal) - texels.target
     gram = jnp.matmul(missed.T, missed, precision="highest") / len(missed)
     errors = jnp.einsum("nbc,bk,nkc->n", coefficients, gram, coefficients, precision="highest")
     return any_order_mean(errors)

@@ -20,9 +20,9 @@ class Screen:
     def __init__(self, context: moderngl.Context, size: tuple[int, int]) -> None:
         self.size = size
         self._context = context
-        self._radiance = context.texture(size, 4, dtype="f4")
+        self.radiance = context.texture(size, 4, dtype="f4")
         self._picture = context.texture(size, 4, dtype="f1")
-        self.linear = context.framebuffer([self._radiance], context.depth_renderbuffer(size))
+        self.linear = context.framebuffer([self.radiance], context.depth_renderbuffer(size))
         self.display = context.framebuffer([self._picture])
         self._tone_map = shaders.program(context, "screen.vert", "tonemap.frag", {})
         self._triangle = context.vertex_array(self._tone_map, [])
@@ -31,7 +31,7 @@ class Screen:
         """Radiance · 2^exposure through the sRGB transfer function into `display`, or another framebuffer."""
         (target or self.display).use()
         self._context.enable_only(moderngl.NOTHING)
-        self._radiance.use(4)
+        self.radiance.use(4)
         shaders.uniform(self._tone_map, "exposure").value = 2.0**exposure
         self._triangle.render(moderngl.TRIANGLES, vertices=3)
 
@@ -61,10 +61,9 @@ class DrawPass:
             "depth": shaders.program(context, "draw.vert", None, {}),
             "back": shaders.program(context, "draw.vert", "back.frag", {}),
             "shaded": shaders.program(context, "draw.vert", "draw.frag", {"SHADED": 1, **images, **defines}),
-            "sky": shaders.program(context, "screen.vert", "sky.frag", {}),
         }
         self._meshes = {name: mesh.bound_to(self._programs[name]) for name in ("depth", "back", "shaded")}
-        self._sky = context.vertex_array(self._programs["sky"], [])
+        self._sky = Sky(context)
 
     def run(self, screen: Screen, camera: Float[np.ndarray, "4 4"], lights: UploadedLights) -> None:
         """Draw one frame: depth first, so that every pixel is shaded once; then surfaces, backs and sky.
@@ -92,21 +91,29 @@ class DrawPass:
         ctx.cull_face, ctx.depth_func, ctx.polygon_offset = "front", "<", (0.0, 16.0)
         self._meshes["back"].render(moderngl.TRIANGLES)
         ctx.polygon_offset = (0.0, 0.0)
-        self._draw_sky(camera, lights)
-
-    def _draw_sky(self, camera: np.ndarray, lights: UploadedLights) -> None:
-        """Environment maps where nothing was drawn, added up."""
-        ctx = self._context
         ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
-        ctx.depth_func, ctx.blend_func = "<=", (moderngl.ONE, moderngl.ONE)
+        ctx.depth_func = "<="
+        self._sky.draw(camera, lights)
+
+
+class Sky:
+    """Environment maps behind whatever is drawn."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._program = shaders.program(context, "screen.vert", "sky.frag", {})
+        self._triangle = context.vertex_array(self._program, [])
+
+    def draw(self, camera: Float[np.ndarray, "4 4"], lights: UploadedLights) -> None:
+        """Add up the maps of `lights`, where the depth test lets them and blending is on."""
+        self._context.blend_func = moderngl.ONE, moderngl.ONE
         for texture, rotation in lights.environments:
             to_map = np.eye(4)
             to_map[:3, :3] = rotation.T
-            shaders.uniform(self._programs["sky"], "from_screen").write(
-                to_glsl(to_map @ directions_from_screen(camera))
-            )
+            from_screen = to_map @ directions_from_screen(camera)
+            shaders.uniform(self._program, "from_screen").write(to_glsl(from_screen))
             texture.use(3)
-            self._sky.render(moderngl.TRIANGLES, vertices=3)
+            self._triangle.render(moderngl.TRIANGLES, vertices=3)
 
 
 def directions_from_screen(camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -9,12 +9,16 @@ from math import pi, sqrt
 
 import numpy as np
 
-from prt_bench.spherical import bands, triple_products
+from prt_bench.spherical import bands, cosine_lobe, triple_products
 
 
 @cache
 def harmonics_code(order: int) -> str:
     """`void harmonics(vec3 d, out float y[K])`: all harmonics of a unit direction, by the recurrence of `evaluate`."""
+    return _function(f"void harmonics(vec3 d, out float y[{order**2}])", _harmonics_lines(order))
+
+
+def _harmonics_lines(order: int) -> list[str]:
     lines = ["float c0 = 1.0, s0 = 0.0;"]
     lines += [
         f"float c{m} = d.x * c{m - 1} - d.y * s{m - 1}, s{m} = d.x * s{m - 1} + d.y * c{m - 1};"
@@ -33,7 +37,15 @@ def harmonics_code(order: int) -> str:
             lines.append(f"y[{middle + m}] = q{band}_{m} * c{m};")
             if m:
                 lines.append(f"y[{middle - m}] = q{band}_{m} * s{m};")
-    return _function(f"void harmonics(vec3 d, out float y[{order**2}])", lines)
+    return lines
+
+
+@cache
+def open_code(order: int) -> str:
+    """`void open_surface(vec3 d, out float y[K])`: the transfer vector of a point that sees the hemisphere about d."""
+    factors = np.asarray(cosine_lobe(order))[bands(order)]
+    lines = [f"y[{k}] *= {_number(float(factor))};" for k, factor in enumerate(factors)]
+    return _function(f"void open_surface(vec3 d, out float y[{order**2}])", _harmonics_lines(order) + lines)
 
 
 @cache
@@ -128,6 +140,7 @@ def matrix_entries(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 CODE = {
     "harmonics": harmonics_code,
+    "open": open_code,
     "lobe": lobe_code,
     "product": product_code,
     "dense_product": dense_product_code,

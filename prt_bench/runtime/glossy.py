@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+import moderngl
 import numpy as np
 from jaxtyping import Float
 
@@ -10,7 +11,7 @@ from prt_bench.errors import AssetError
 from prt_bench.runtime import shaders
 from prt_bench.runtime.context import check
 from prt_bench.runtime.generate import matrix_entries, pairs
-from prt_bench.runtime.harmonics import ProjectedAsset, diffuse_kernel
+from prt_bench.runtime.harmonics import HarmonicsPass, ProjectedAsset, diffuse_kernel
 from prt_bench.runtime.indirect import BasisTexture, channels_apart
 from prt_bench.runtime.transfer import CHANNELS
 from prt_bench.spherical import order_of, triple_products
@@ -47,7 +48,7 @@ class GlossyAsset(ProjectedAsset):
         }
         super().__init__(runtime, asset, {**kernel, **(self._lobe if runtime.scene.glossy else {})}, channels)
         self._basis = BasisTexture(runtime, channels_apart(basis, 4 * layers))
-        self._matrix = _MatrixPass(self, order) if fixed else None
+        self._matrix = MatrixPass(runtime.context, self.projection, order) if fixed else None
         self._tensor = None
         if dense:
             tensor = np.zeros((order**2,) * 3, "<f4")
@@ -104,12 +105,12 @@ class GlossyAsset(ProjectedAsset):
         return np.frombuffer(values.read(), "<f4").reshape(-1, 4)[:, :3].copy()
 
 
-class _MatrixPass:
+class MatrixPass:
     """The upper halves of the light's three matrices, a row for each pair of coefficients."""
 
-    def __init__(self, asset: ProjectedAsset, order: int) -> None:
-        context, self._coefficients = asset.runtime.context, asset.projection.coefficients
-        self._context, count = context, len(pairs(order))
+    def __init__(self, context: moderngl.Context, projection: HarmonicsPass, order: int) -> None:
+        self._context, self._coefficients = context, projection.coefficients
+        count = len(pairs(order))
         starts, indices, values = matrix_entries(order)
         self._starts = context.buffer(starts.astype("<i4").tobytes())
         self._entries = context.buffer(np.column_stack([indices, values]).astype("<f4").tobytes())

@@ -33,6 +33,11 @@ class Indirect(ABC):
         self.runtime = runtime
         self._kernel = kernel
 
+    @property
+    def defines(self) -> shaders.Defines:
+        """What compiles the kernel in."""
+        return self._kernel
+
     @abstractmethod
     def prepare(self, lights: UploadedLights) -> None:
         """Passes that come before drawing; shadow maps are there already."""

@@ -11,6 +11,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+TILE = 1024
+"""Words of four weights that a workgroup shares at a time: half of what every GPU has."""
+
 
 def spelled(sizes: Sequence[int]) -> str:
     """Widths as a shader's NETWORK defines them."""
@@ -101,6 +104,44 @@ def field_code(shape: str) -> str:
     return f"void field(vec3 place, vec3 normal, out vec4 phi[{_fours(layers[-1][1])}]) {{\n{_indented(lines)}}}\n"
 
 
+@cache
+def shared_field_code(shape: str) -> str:
+    """`void field(...)` as `field_code` has it, for a workgroup whose invocations all call it: they fetch weights together.
+
+    Some outputs of a layer at a time, as many as a `tile` of `TILE` words of four takes, lie in shared memory; each invocation
+    keeps the activations of its own place.
+    """
+    layers = list(pairwise(map(int, shape.split("_"))))
+    most = max(_fours(width) for into, out in layers for width in (into, out))
+    lines = [f"vec4 a[{most}], b[{most}];", "uint lane = gl_LocalInvocationIndex;", "encode(place, normal, a);"]
+    at, bias, source, target = 0, 0, "a", "b"
+    for number, (into, out) in enumerate(layers):
+        last = number == len(layers) - 1
+        result, begin = ("phi", "vec4(0.0)") if last else (target, f"biases[{bias} + g]")
+        outputs, row = max(TILE // (4 * _fours(into)), 1), 4 * _fours(into)
+        lines += [f"for (int first = 0; first < turns[{number}].y; first += {outputs}) {{"]
+        lines += [f"    int end = min(first + {outputs}, turns[{number}].y);", "    barrier();"]
+        lines += [f"    for (uint w = lane; w < uint((end - first) * {row}); w += WORKGROUP) {{"]
+        lines += [f"        uint g = uint(first) + w / {row}u, i = (w % {row}u) / 4u;"]
+        lines += [
+            f"        tile[w] = four({at}u + {4 * _fours(out)}u * i + 4u * g + w % 4u);",
+            "    }",
+            "    barrier();",
+        ]
+        lines += ["    for (int g = first; g < end; ++g) {", f"        vec4 sum = {begin};"]
+        lines += [f"        for (int i = 0; i < turns[{number}].x; ++i) {{"]
+        lines += [f"            int w = (g - first) * {row} + 4 * i;", f"            vec4 v = {source}[i];"]
+        lines += [
+            "            sum += vec4(dot(tile[w], v), dot(tile[w + 1], v), dot(tile[w + 2], v), dot(tile[w + 3], v));"
+        ]
+        lines += ["        }", f"        {result}[g] = {'sum' if last else 'squareplus(sum)'};", "    }", "}"]
+        at, bias, source, target = at + _fours(into) * 4 * _fours(out), bias + _fours(out), target, source
+    head = f"shared vec4 tile[{TILE}];\n"
+    return (
+        f"{head}void field(vec3 place, vec3 normal, out vec4 phi[{_fours(layers[-1][1])}]) {{\n{_indented(lines)}}}\n"
+    )
+
+
 def turns(sizes: Sequence[int]) -> Int[np.ndarray, "l 4"]:
     """Blocks of four inputs and of four outputs of each layer, as `field_code` reads them."""
     rows = [(_fours(into), _fours(out), 0, 0) for into, out in pairwise(sizes)]
@@ -111,5 +152,5 @@ def _fours(width: int) -> int:
     return -(-width // 4)
 
 
-CODE = {"network": network_code, "field": field_code}
+CODE = {"network": network_code, "field": field_code, "shared_field": shared_field_code}
 """What `#include "generated/NAME"` pastes, for the shape that NETWORK defines."""

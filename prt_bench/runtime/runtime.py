@@ -11,7 +11,7 @@ from prt_bench.lights import Lighting
 from prt_bench.runtime import shaders
 from prt_bench.runtime.context import check, headless, is_software, renderer
 from prt_bench.runtime.draw import DrawPass, Screen
-from prt_bench.runtime.field import FieldAsset
+from prt_bench.runtime.field import FieldAsset, HarmonicFieldAsset
 from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.runtime.harmonics import HarmonicAsset, VertexAsset
 from prt_bench.runtime.indirect import Indirect, LoadedAsset, PlainLightmap
@@ -91,7 +91,7 @@ class Runtime:
 
     def load(self, asset: RuntimeAsset) -> LoadedAsset:
         """Upload an asset and compile its passes. Raises `AssetError` when it was fitted on another dataset."""
-        for kind in (MeasuredAsset, FieldAsset, HarmonicAsset, VertexAsset, GlossyAsset):
+        for kind in (MeasuredAsset, FieldAsset, HarmonicFieldAsset, HarmonicAsset, VertexAsset, GlossyAsset):
             if kind.runs(asset):
                 return kind(self, asset)
         raise AssetError(f"{asset.path} has the kernels {asset.kernels}, which this runtime lacks")

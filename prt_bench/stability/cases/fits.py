@@ -13,6 +13,7 @@ from jaxtyping import Array
 from prt_bench.gamma import GammaLinearModel, curve, over, uncurve
 from prt_bench.learned.fields import FieldModel
 from prt_bench.learned.models import ResidualModel
+from prt_bench.learned.transfer import HarmonicFieldModel
 from prt_bench.methods.base import Method
 from prt_bench.models import LinearModel, Model
 from prt_bench.stability import rigs
@@ -42,7 +43,7 @@ def shipped(model: Model, test: object) -> tuple[np.ndarray, float]:
         return found, float(np.max(_terms(model, jnp.asarray(model.measure(test)))))  # pyright: ignore[reportArgumentType]
     if isinstance(model, GammaLinearModel):
         return found, float(np.max(_curved_terms(model, jnp.asarray(model.measure(test)))))  # pyright: ignore[reportArgumentType]
-    if isinstance(model, FieldModel | ResidualModel):
+    if isinstance(model, FieldModel | HarmonicFieldModel | ResidualModel):
         return found, float(np.max(model.magnitudes(jnp.asarray(model.measure(test)))))  # pyright: ignore[reportArgumentType]
     return found, float(np.abs(found).max())
 
