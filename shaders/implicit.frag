@@ -24,14 +24,14 @@ void main() {
     vec3 first = min(a, b), last = max(a, b);
     float t = max(max(max(first.x, first.y), first.z), 0.0), far = min(min(last.x, last.y), last.z);
     bool met = false;
-    int step = 0;
-    for (; step < STEPS && t < far; ++step) {
-        float d = distance_at(eye + t * direction);
+    float d = far;
+    for (int step = 0; step < STEPS && t < far; ++step) {
+        d = distance_at(eye + t * direction);
         met = d < TOLERANCE;
         if (met) break;
         t += STEP_SHARE * d;
     }
-    if (!met && (t >= far || step < STEPS)) discard;
+    if (!met && (t >= far || d >= CREEPING)) discard;
     vec3 position = eye + t * direction;
     vec3 slope = sloped_distance(position).xyz;
     float steepness = length(slope);

@@ -21,7 +21,7 @@ from prt_bench.transport import GatherOperator, final_gather, radiosity, tail_bo
 from prt_bench.visibility import escaping_transfer
 
 _RAYS = 1 << 16  # traced at once
-_TURNED = 2.0
+_TURNED = 8.0
 """What a normal of another direction costs, in spacings of the samples per unit of difference."""
 _MOST_BOUNCES = 64
 _HIGHEST = 8

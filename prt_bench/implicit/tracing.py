@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from prt_bench.implicit.expression import Distance, padded_size
+from prt_bench.implicit.expression import Distance, distances, in_few_sizes, padded_size
 from prt_bench.implicit.scene import OFFSET, ImplicitScene
 
 STEPS = 256
-"""After as many a ray counts as having hit where it is: it creeps along a surface."""
+"""After as many a ray that creeps along a surface has hit it where it is within `CREEPING` hit tolerances, else escaped: rays
+that leave a surface under a flat angle begin farther away than that."""
+CREEPING = 2.0
 _PHASE = 16
 MARGIN = 8.0
 """By how many hit tolerances rays go on beyond the scene's box."""
@@ -62,7 +64,9 @@ def _trace(scene: ImplicitScene, origins: np.ndarray, directions: np.ndarray) ->
         t, met = _march(shape, origins[rows], directions[rows], distance[rows], far[rows], *numbers)
         distance[active], hit[active] = np.asarray(t)[: len(active)], np.asarray(met)[: len(active)]
         active = active[~hit[active] & (distance[active] < far[active])]
-    hit[active] = True
+    if active.size:
+        ends = origins[active] + distance[active, None] * directions[active]
+        hit[active] = in_few_sizes(distances, shape, ends) < CREEPING * scene.tolerance
     return RayHits(distance, hit)
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from prt_bench.errors import AssetError
 from prt_bench.implicit.expression import code_of
 from prt_bench.implicit.scene import ImplicitScene
-from prt_bench.implicit.tracing import MARGIN, STEPS
+from prt_bench.implicit.tracing import CREEPING, MARGIN, STEPS
 from prt_bench.learned.transfer import TransferField
 from prt_bench.lights import Lighting
 from prt_bench.runtime import shaders
@@ -212,6 +212,7 @@ def _tracing_defines(scene: ImplicitScene) -> dict[str, int | str]:
         ", ".join(f"{value:.9e}" for value in corner) for corner in scene.bounds + margin * np.array([[-1], [1]])
     )
     return {
-        "STEPS": STEPS, "TOLERANCE": f"{scene.tolerance:.9e}", "STEP_SHARE": f"{1.0 / scene.shape.slope:.9e}",
+        "STEPS": STEPS, "TOLERANCE": f"{scene.tolerance:.9e}",
+        "CREEPING": f"{CREEPING * scene.tolerance:.9e}", "STEP_SHARE": f"{1.0 / scene.shape.slope:.9e}",
         "BOX_LOW": f"vec3({low})", "BOX_HIGH": f"vec3({high})",
     }  # fmt: skip
