@@ -26,7 +26,7 @@ def test_open_vectors_are_integrals_over_the_hemisphere():
 
 
 def test_an_open_body_is_known_without_training():
-    found, curves = fit_transfer(POSITION, NORMAL, OPEN, SMALL)
+    found, _ = fit_transfer(POSITION, NORMAL, OPEN, SMALL)
     values = found(jnp.asarray(POSITION, jnp.float32), jnp.asarray(NORMAL, jnp.float32))
     assert relative_error(values, OPEN) < 1e-5
     assert found.order == 3
@@ -44,7 +44,7 @@ def test_training_lowers_the_error_and_is_the_same_twice(hidden):
     fits = [fit_transfer(POSITION, NORMAL, hidden, shape, jax.random.key(3)) for _ in range(2)]
     found, curves = fits[0]
     values = found(jnp.asarray(POSITION, jnp.float32), jnp.asarray(NORMAL, jnp.float32))
-    assert relative_error(values, hidden) < 0.03 < relative_error(OPEN, hidden)
+    assert relative_error(values, hidden) < 0.06 < relative_error(OPEN, hidden)
     assert curves["validation_error"].min() < 0.9 * curves["validation_error"][0]
     for a, b in zip(found.arrays().values(), fits[1][0].arrays().values(), strict=True):
         assert np.array_equal(a, b)
