@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--widths", type=int, nargs="+", default=[16, 32, 64, 128])
     parser.add_argument("--depths", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--encodings", nargs="+", choices=ENCODINGS, default=ENCODINGS)
-    parser.add_argument("--epochs", type=int, default=FieldShape().epochs)
+    parser.add_argument("--steps", type=int, default=FieldShape().steps)
     parser.add_argument("--goal", type=float, default=0.1, help="relative RMSE in SH space that a network must reach")
     parser.add_argument("--size", type=int, nargs=2, default=(320, 240), help="of the timed frames")
     parser.add_argument("--timed", type=int, default=6, help="networks whose frames are timed, from small to large")
@@ -86,7 +86,7 @@ def study(scene: ImplicitScene, settings: argparse.Namespace) -> dict:
     print(scene.name, {name: round(value, 4) for name, value in result.items()}, flush=True)
     rows, fields = [], []
     for encoding, depth, width in product(settings.encodings, settings.depths, settings.widths):
-        shape = FieldShape(width, depth, encoding, settings.epochs)
+        shape = FieldShape(width, depth, encoding, settings.steps)
         field, seconds = fitted(baked, shape)
         rows.append(
             {

@@ -108,7 +108,7 @@ class SampleIndex:
         if not len(position):
             return np.zeros(0, int)
         normal = self._scene.normal_at(position)
-        return self._tree.query(np.hstack([position, self._cost * normal]), workers=-1)[1]
+        return np.asarray(self._tree.query(np.hstack([position, self._cost * normal]), workers=-1)[1])
 
     @property
     def samples(self) -> int:

@@ -51,7 +51,7 @@ def _to_triangles(
     nodes: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], longest: float
 ) -> Float[np.ndarray, " n"]:
     """Unsigned distance. Triangles are split until no edge is longer than `longest`, so that few of them can be nearest."""
-    fine, fine_faces = trimesh.remesh.subdivide_to_size(np.asarray(vertices, float), np.asarray(faces), longest, 20)
+    fine, fine_faces = trimesh.remesh.subdivide_to_size(np.asarray(vertices, float), np.asarray(faces), longest, 20)[:2]
     triangles = fine[fine_faces]
     tree = KDTree(triangles.mean(axis=1))
     found = np.empty(len(nodes))

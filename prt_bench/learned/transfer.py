@@ -26,6 +26,7 @@ from prt_bench.lights import emitters
 from prt_bench.models import Model, Observed
 from prt_bench.spherical import bands, cosine_lobe, evaluate, order_of
 
+_BATCH = 1024
 _HELD = 8  # of the points, one in as many says when weights are best
 
 
@@ -88,13 +89,18 @@ class _Points(NamedTuple):
 
 @dataclass(frozen=True)
 class FieldShape:
-    """Size of a network, what it sees of a position, and its training: `epochs` over the points at a `rate`."""
+    """Size of a network, what it sees of a position, and its training: about `steps` batches at a `rate`, for any number of
+    points."""
 
     width: int = 64
     depth: int = 2
     encoding: Encoding = "frequency"
-    epochs: int = 400
-    rate: float = 5e-3
+    steps: int = 5000
+    rate: float = 1e-2
+
+    def schedule(self, points: int) -> Schedule:
+        """Passes over `points` that come to that many batches."""
+        return Schedule(max(1, -(-self.steps * min(_BATCH, points) // points)), _BATCH, self.rate, patience=40)
 
 
 def fit_transfer(
@@ -131,7 +137,7 @@ def fit_transfer(
     begun = begun.with_closed_head(*kept)
     trained = train(
         (begun.network, begun.head, begun.grids), begun.box, kept, held, _loss, _score,
-        Schedule(shape.epochs, 1024, shape.rate, patience=40), second, name, checkpoint,
+        shape.schedule(len(kept.target)), second, name, checkpoint,
     )  # fmt: skip
     found = field_of(trained.weights, begun.box)
     found = eqx.tree_at(lambda field: field.head, found, found.head * scale)

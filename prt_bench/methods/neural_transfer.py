@@ -24,7 +24,9 @@ class NeuralTransfer(Method):
 
     The network adds to the vector of an open surface, which the normal gives in closed form, what is hidden and what is
     reflected. Nothing but position and normal is asked of a surface, so the same network serves geometry without mesh and
-    texture coordinates (`prt_bench.implicit`). `encoding`, `epochs`, `rate` and `checkpoint` are as in `mlp-decoder`.
+    texture coordinates (`prt_bench.implicit`).
+    `encoding` and `checkpoint` are as in `mlp-decoder`; training
+    takes about `steps` batches at `rate`.
     Nothing is learned from the training lightings: the loss is that of the vectors.
     """
 
@@ -38,15 +40,15 @@ class NeuralTransfer(Method):
     width: int = 64
     depth: int = 2
     encoding: Encoding = "frequency"
-    epochs: int = 400
-    rate: float = 5e-3
+    steps: int = FieldShape().steps
+    rate: float = FieldShape().rate
     checkpoint: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         self.require(1 <= self.order <= GREATEST, "order", f"from 1 to {GREATEST}")
         self.require(1 <= self.width <= 128, "width", "from 1 to 128")
         self.require(1 <= self.depth <= 8, "depth", "from 1 to 8")
-        self.require(self.epochs >= 1, "epochs", "at least 1")
+        self.require(self.steps >= 1, "steps", "at least 1")
         self.require(0 < self.rate < float("inf"), "rate", "a positive number")
 
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> HarmonicFieldModel:
@@ -54,7 +56,7 @@ class NeuralTransfer(Method):
         direct, indirect = windowed_transfer(ds.transport, fit_albedo(ds), self.order, self.window)
         points, mesh = ds.transport.receivers, ds.transport.scene.mesh
         normal = mesh.normals[points.face]
-        shape = FieldShape(self.width, self.depth, self.encoding, self.epochs, self.rate)
+        shape = FieldShape(self.width, self.depth, self.encoding, self.steps, self.rate)
         checkpoint = Path(self.checkpoint) if self.checkpoint else None
         found, curves = fit_transfer(points.position, normal, direct + indirect, shape, key, self.label, checkpoint)
         centre = jnp.asarray(ds.transport.scene.bounds.mean(axis=0))

@@ -89,11 +89,13 @@ class ImplicitRuntime:
         self._hit_images = [self.context.texture(size, 4, dtype="f4") for _ in range(2)]
         self._hit_frame = self.context.framebuffer(self._hit_images)
         if by == "fragment":
-            self._shade = shaders.program(self.context, "screen.vert", "implicit.frag", {**tracing, **shading}, pasted)
-            self._triangle = self.context.vertex_array(self._shade, [])
+            self._fragment = shaders.program(
+                self.context, "screen.vert", "implicit.frag", {**tracing, **shading}, pasted
+            )
+            self._triangle = self.context.vertex_array(self._fragment, [])
         else:
-            defines = {**shading, "SHARED_WEIGHTS": 1, "TILE_SIDE": _TILE_SIDE}
-            self._shade = shaders.compute(self.context, "implicit.comp", defines)
+            sharing = {"SHARED_WEIGHTS": 1, "TILE_SIDE": _TILE_SIDE}
+            self._compute = shaders.compute(self.context, "implicit.comp", {**shading, **sharing})
         self._hit_triangle = self.context.vertex_array(self._hits, [])
         self.look_from(scene.camera)
         for part, material in enumerate(self._materials):
@@ -160,15 +162,15 @@ class ImplicitRuntime:
         self.context.enable_only(moderngl.NOTHING)
         self._bind()
         if self.by == "fragment":
-            self._aim(self._shade)
+            self._aim(self._fragment)
             self._triangle.render(moderngl.TRIANGLES, vertices=3)
         else:
             self._find_hits()
             for unit, image in zip((5, 6), self._hit_images, strict=True):
                 image.use(unit)
-            shaders.uniform(self._shade, "eye").value = tuple(self.eye)
+            shaders.uniform(self._compute, "eye").value = tuple(self.eye)
             self.screen.radiance.bind_to_image(0, read=False, write=True)
-            self._shade.run(*(-(-side // _TILE_SIDE) for side in self.size))
+            self._compute.run(*(-(-side // _TILE_SIDE) for side in self.size))
             self.context.memory_barrier()
         self.screen.tone_map(exposure)
 

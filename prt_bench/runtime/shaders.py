@@ -67,7 +67,7 @@ def program(
     )
 
 
-def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
+def uniform(program: moderngl.Program | moderngl.ComputeShader, name: str) -> moderngl.Uniform:
     """A uniform of a program, to be written."""
     member = program[name]
     if not isinstance(member, moderngl.Uniform):

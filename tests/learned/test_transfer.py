@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from prt_bench.errors import FitError
+from prt_bench.learned.fields import Field, box_of
 from prt_bench.learned.transfer import FieldShape, TransferField, fit_transfer, open_vectors, relative_error
 from prt_bench.spherical import evaluate, quadrature
 
@@ -34,24 +35,28 @@ def test_an_open_body_is_known_without_training():
 
 @pytest.fixture(scope="module")
 def hidden():
-    """Half of the ball lies in shade that begins softly, and what two channels reflect differs."""
-    share = 1.0 / (1.0 + np.exp(-4.0 * NORMAL[:, :1, None]))
+    """Bands of the ball lie in shade, and what three channels reflect differs."""
+    share = 1.0 / (1.0 + np.exp(-6.0 * np.sin(6.0 * NORMAL[:, :1, None] + 3.0 * NORMAL[:, 1:2, None])))
     return OPEN * share * np.array([1.0, 0.7, 0.4])[:, None]
 
 
 def test_training_lowers_the_error_and_is_the_same_twice(hidden):
-    shape = FieldShape(32, 2, "none", 200)
+    shape = FieldShape(16, 1, "none", 300)
     fits = [fit_transfer(POSITION, NORMAL, hidden, shape, jax.random.key(3)) for _ in range(2)]
     found, curves = fits[0]
     values = found(jnp.asarray(POSITION, jnp.float32), jnp.asarray(NORMAL, jnp.float32))
-    assert relative_error(values, hidden) < 0.06 < relative_error(OPEN, hidden)
+    assert relative_error(values, hidden) < 0.5 * relative_error(OPEN, hidden)
     assert curves["validation_error"].min() < 0.9 * curves["validation_error"][0]
     for a, b in zip(found.arrays().values(), fits[1][0].arrays().values(), strict=True):
         assert np.array_equal(a, b)
 
 
-def test_what_ships_is_the_same_field(hidden):
-    found, _ = fit_transfer(POSITION, NORMAL, hidden, FieldShape(16, 1, "grid", 2))
+def test_what_ships_is_the_same_field():
+    first, second = jax.random.split(jax.random.key(0))
+    field = Field.random(first, "grid", box_of(jnp.asarray(POSITION, jnp.float32)), 16, 1, 27)
+    found = TransferField(
+        Field(field.network, jax.random.normal(second, field.head.shape, jnp.float32), field.box, field.grids), 3
+    )
     loaded = TransferField.from_arrays({name: jnp.asarray(array) for name, array in found.arrays().items()})
     place = jnp.asarray(POSITION, jnp.float32), jnp.asarray(NORMAL, jnp.float32)
     assert np.array_equal(loaded(*place), found(*place))
