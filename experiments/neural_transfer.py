@@ -100,7 +100,7 @@ def study(scene: ImplicitScene, settings: argparse.Namespace) -> dict:
     reached = [at for at in order if rows[at]["error"] <= settings.goal]
     chosen = reached[0] if reached else int(np.argmin([row["error"] for row in rows]))
     result |= {"rows": rows, "chosen": int(chosen), "reached": bool(reached), "goal": settings.goal}
-    timed = sorted({int(order[at]) for at in np.linspace(0, len(order) - 1, settings.timed)} | {int(chosen)})
+    timed = sorted({int(order[round(at)]) for at in np.linspace(0, len(order) - 1, settings.timed)} | {int(chosen)})
     result["device"] = add_frames(scene, rows, fields, timed, tuple(settings.size))
     result["picture"] = picture(scene, fields[chosen], settings)
     return result

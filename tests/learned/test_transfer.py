@@ -36,12 +36,12 @@ def test_an_open_body_is_known_without_training():
 @pytest.fixture(scope="module")
 def hidden():
     """Bands of the ball lie in shade, and what three channels reflect differs."""
-    share = 1.0 / (1.0 + np.exp(-6.0 * np.sin(6.0 * NORMAL[:, :1, None] + 3.0 * NORMAL[:, 1:2, None])))
+    share = 1.0 / (1.0 + np.exp(-6.0 * np.sin(3.0 * NORMAL[:, :1, None] + 2.0 * NORMAL[:, 1:2, None])))
     return OPEN * share * np.array([1.0, 0.7, 0.4])[:, None]
 
 
 def test_training_lowers_the_error_and_is_the_same_twice(hidden):
-    shape = FieldShape(16, 1, "none", 300)
+    shape = FieldShape(8, 1, "none", 300, 3e-3)
     fits = [fit_transfer(POSITION, NORMAL, hidden, shape, jax.random.key(3)) for _ in range(2)]
     found, curves = fits[0]
     values = found(jnp.asarray(POSITION, jnp.float32), jnp.asarray(NORMAL, jnp.float32))
