@@ -59,8 +59,8 @@ def gyroid() -> ImplicitScene:
 
 
 def bulb() -> ImplicitScene:
-    """A mandelbulb of four iterations: detail at every scale down to its last one."""
-    body = Turned(Scaled(Mandelbulb(4), 0.5), rotation_about(0, -90.0))
+    """A mandelbulb of two iterations: lobes on lobes, no finer than what samples and pixels resolve."""
+    body = Turned(Scaled(Mandelbulb(2), 0.5), rotation_about(0, -90.0))
     return _on_stage(
         "implicit-bulb", Part(Moved(body, (0.0, 0.55, 0.0)), Material("bulb", (0.6, 0.5, 0.4), glossy=_SHINY))
     )

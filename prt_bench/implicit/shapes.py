@@ -256,8 +256,8 @@ class Mandelbulb(Distance):
 
     @property
     def slope(self) -> float:
-        """An estimate."""
-        return 1.5
+        """An estimate: outside, the largest at 4096 places was 1.84 for two iterations."""
+        return 2.0
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:

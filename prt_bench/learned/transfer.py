@@ -46,6 +46,7 @@ class TransferField(eqx.Module):
         """Number of bands."""
         return order_of(len(self.field.head) // self.rows)
 
+    @eqx.filter_jit
     def __call__(self, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]) -> Float[Array, "P W K"]:
         """Transfer vectors at points with unit normals."""
         learned = self.field(position, normal).reshape(len(position), self.rows, -1)
