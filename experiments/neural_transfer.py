@@ -227,6 +227,8 @@ def draw(path: Path, found: dict, settings: argparse.Namespace) -> None:
         for encoding, colour in zip(ENCODINGS, ("tab:blue", "tab:orange", "tab:green"), strict=True):
             for depth, marker in zip((1, 2, 3), "ov^", strict=True):
                 chosen = [row for row in rows if (row["encoding"], row["depth"]) == (encoding, depth)]
+                if not chosen:
+                    continue
                 line[0].plot(
                     [row["bytes"] for row in chosen], [row["error"] for row in chosen], marker + "-", color=colour,
                     markersize=4, linewidth=1, label=f"{encoding}, depth {depth}",
