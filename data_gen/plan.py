@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from data_gen.atlas import check_mips, padding
-from data_gen.effects.subsurface import check_closed, predicted_events
 from data_gen.effects.subsurface import media, predicted_events, predicted_walks
 from data_gen.hull import check_hull
 from data_gen.sampling import check_measurements
