@@ -1,12 +1,17 @@
 """Direct light with shadow rays: irradiance at points from many lightings, or only which emitters they see."""
 
+from collections.abc import Sequence
+
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from data_gen.tracer import Tracer
 from prt_bench.emitters import Emitters, strength
+from prt_bench.lights import Lighting
+from prt_bench.lights import emitters as batched_emitters
 from prt_bench.points import SurfacePoints
+from prt_bench.scene import Scene
 
 
 def direct_irradiance(
@@ -47,6 +52,13 @@ def visibility(tracer: Tracer, points: SurfacePoints, emitters: Emitters) -> Boo
         _remove_shadowed(weight, tracer, origins, lit)
         seen.append(weight > 0)
     return np.stack(seen)
+
+
+def seen(
+    scene: Scene, points: SurfacePoints, lightings: Sequence[Lighting], workers: int | None = None
+) -> Bool[np.ndarray, "N P Q"]:
+    """Which emitters of lightings light which points of a scene: what `prt_bench.chain` holds fixed. See `visibility`."""
+    return visibility(Tracer(scene, workers), points, batched_emitters(lightings))
 
 
 def _remove_shadowed(

@@ -27,17 +27,11 @@ import numpy as np
 import optax
 
 import prt_bench as prt
-from data_gen.direct import visibility
-from data_gen.scenarios import near_region
-from data_gen.tracer import Tracer
 from prt_bench.chain import direct_light, indirect_light, measured_light
-from prt_bench.lights import emitters
-from prt_bench.methods.svd_ridge import fit_svd_ridge
 
 scene = prt.load_scene("cornell")
 ds = prt.bake(scene, "point", lightings=96, texels=48, rays=64, measurements=128, streamed=256)
 train, test = ds.split("train"), ds.split("test")
-tracer = Tracer(scene)
 
 
 def relative_error(prediction, truth):
@@ -98,7 +92,7 @@ def miss(guess, seen):
 
 def seen_by(guess):
     """Which measurement points the light of a guess reaches."""
-    return jnp.asarray(visibility(tracer, ds.dense_points, emitters([lighting(guess)])))
+    return jnp.asarray(prt.seen(scene, ds.dense_points, [lighting(guess)]))
 
 
 # %% [markdown]
@@ -116,7 +110,8 @@ for axis in range(3):
     np.testing.assert_allclose(gradient[axis], difference, rtol=1e-4)
 
 # %%
-low, high = near_region(scene) / extent
+margin = 0.25 * np.ptp(scene.bounds, axis=0).max()  # lights may stand before the open side of the box
+low, high = (scene.bounds + np.array([[-margin], [margin]])) / extent
 starts = np.random.default_rng(0).uniform(low, high, (6, 3)) * 0.8 + 0.1 * (low + high)
 rule = optax.adam(optax.cosine_decay_schedule(0.03, 90, 0.02))
 
@@ -173,7 +168,7 @@ plt.show()
 lamps = test.lightings[:2]
 samples, transport = ds.transport.samples, ds.transport
 owner = scene.mesh.material[samples.face]
-direct = direct_light(samples, lamps, visibility(tracer, samples, emitters(lamps)))
+direct = direct_light(samples, lamps, prt.seen(scene, samples, lamps))
 observed = indirect_light(transport, direct, jnp.asarray(samples.albedo))
 weight = jnp.where(jnp.asarray(transport.buried), 0.0, 1.0)[None, :, None]
 
@@ -217,20 +212,18 @@ plt.show()
 # A fit is a function of its data and settings, so the error on other lightings has a derivative in the ridge. The
 # tangents are those derivatives.
 
+
 # %%
-pairs = [jnp.asarray(part, float) for part in (train.measured, train.indirect, test.measured, test.indirect)]
-
-
-def held_out(log_ridge, x, y, x_test, y_test):
+def held_out(log_ridge):
     """Relative error on the test lightings of a fit with this ridge."""
-    fitted = fit_svd_ridge(x, y, 10.0**log_ridge, basis=24)
-    off = fitted.reconstruct(fitted.transfer(x_test)) - y_test
-    return jnp.linalg.norm(off) / jnp.linalg.norm(y_test)
+    fitted = prt.method("svd-ridge", basis=24).with_traced(ridge=10.0**log_ridge).fit(train)
+    off = fitted.predict(test) - test.indirect
+    return jnp.linalg.norm(off) / jnp.linalg.norm(test.indirect)
 
 
-value_and_slope = jax.jit(jax.value_and_grad(held_out))
+value_and_slope = jax.value_and_grad(held_out)
 places = np.linspace(-5, 0, 6)
-values, slopes = np.array([value_and_slope(place, *pairs) for place in places]).T
+values, slopes = np.array([value_and_slope(place) for place in places]).T
 figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
 axes.plot(places, values, "o")
 for place, value, slope in zip(places, values, slopes, strict=True):

@@ -40,6 +40,7 @@ _ON_FIRST_USE = {
     "light": "data_gen.bake",
     "bake_animation": "data_gen.animation",
     "keyframe_times": "data_gen.animation",
+    "seen": "data_gen.direct",
 }
 
 __all__ = [
@@ -68,6 +69,7 @@ __all__ = [
     "methods",
     "plan",
     "scenes",
+    "seen",
 ]
 
 

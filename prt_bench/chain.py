@@ -11,7 +11,7 @@
 Every row is differentiable and held to finite differences (`tests/test_chain.py`, and H1 of `prt-bench stability`).
 Gradients do not reach what rays decide: visibility is an argument here, a table of zeros and ones that stays where it is
 while a light moves, so the moving edge of a shadow adds nothing to a gradient; nor do they reach hit indices (geometry). Trace
-visibility again (`data_gen.direct.visibility`) after a step. Where leave-one-out chooses a setting, the choice is fixed.
+visibility again (`prt.seen`) after a step. Where leave-one-out chooses a setting, the choice is fixed.
 """
 
 from collections.abc import Sequence

@@ -188,7 +188,7 @@ def test_the_reference_tracer_shares_no_operator_code(name: str):
 
 def test_notebooks_use_the_public_surface_alone():
     used = {name for source in files("notebooks").values() for name in imports(source) if within(name, *PACKAGES)}
-    assert used <= {"prt_bench", "prt_bench.lights", "prt_bench.transport"}
+    assert used <= {"prt_bench", "prt_bench.chain", "prt_bench.lights", "prt_bench.transport"}
 
 
 def test_what_is_imported_is_declared():
