@@ -12,7 +12,7 @@ from prt_bench.learned.fields import Encoding
 from prt_bench.learned.transfer import FieldShape, HarmonicFieldModel, fit_transfer
 from prt_bench.methods.base import Method
 from prt_bench.methods.operator import fit_albedo
-from prt_bench.methods.sh_texture import Window, windowed_transfer
+from prt_bench.methods.sh_texture import Window, all_light, windowed_transfer
 
 GREATEST = 6
 """Greatest order: three channels of 36 coefficients are as much as a fragment should evaluate."""
@@ -25,9 +25,8 @@ class NeuralTransfer(Method):
     The network adds to the vector of an open surface, which the normal gives in closed form, what is hidden and what is
     reflected. Nothing but position and normal is asked of a surface, so the same network serves geometry without mesh and
     texture coordinates (`prt_bench.implicit`).
-    `encoding` and `checkpoint` are as in `mlp-decoder`; training
-    takes about `steps` batches at `rate`.
-    Nothing is learned from the training lightings: the loss is that of the vectors.
+    `encoding` and `checkpoint` are as in `mlp-decoder`; training takes about `steps` batches at `rate`. Nothing is learned
+    from the training lightings: the loss is that of the vectors.
     """
 
     name: ClassVar[str] = "neural-transfer"
@@ -58,7 +57,8 @@ class NeuralTransfer(Method):
         normal = mesh.normals[points.face]
         shape = FieldShape(self.width, self.depth, self.encoding, self.steps, self.rate)
         checkpoint = Path(self.checkpoint) if self.checkpoint else None
-        found, curves = fit_transfer(points.position, normal, direct + indirect, shape, key, self.label, checkpoint)
+        vectors = all_light(ds.transport, direct, indirect)
+        found, curves = fit_transfer(points.position, normal, vectors, shape, key, self.label, checkpoint)
         centre = jnp.asarray(ds.transport.scene.bounds.mean(axis=0))
         place = jnp.asarray(points.position, jnp.float64), jnp.asarray(normal, jnp.float64)
         return HarmonicFieldModel(found, centre, *place, curves)

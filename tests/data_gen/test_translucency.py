@@ -25,6 +25,7 @@ from prt_bench.dataset import LightingDataset, Transport
 from prt_bench.errors import SceneError, SpecError
 from prt_bench.lights import DirectionalLight, Lighting, PointLight, emitters
 from prt_bench.medium import Subsurface
+from prt_bench.methods import neural_transfer
 from prt_bench.methods.interreflection import bounced_transfer
 from prt_bench.methods.operator import importance, respond
 from prt_bench.scene import Camera, Material, Scene
@@ -208,7 +209,12 @@ def test_the_tail_bound_knows_of_bodies(dataset: LightingDataset) -> None:
 
 
 ORACLES = ("projection", "reference")
-QUICK = {"mlp-coefficients": {"epochs": 2}, "mlp-decoder": {"epochs": 2}, "linear-finetuned": {"epochs": 2}}
+QUICK = {
+    "mlp-coefficients": {"epochs": 2},
+    "mlp-decoder": {"epochs": 2},
+    "linear-finetuned": {"epochs": 2},
+    "neural-transfer": {"steps": 50},
+}
 
 
 @pytest.mark.parametrize("name", sorted(prt.methods()))
@@ -225,6 +231,21 @@ def test_every_method_runs_without_knowing(dataset: LightingDataset, name: str, 
     if name not in ORACLES:
         again = np.asarray(prt.load_asset(model.export(tmp_path / "asset").path).predict(test))
         assert np.linalg.norm(again - predicted) <= 1e-3 * np.linalg.norm(predicted)
+
+
+def test_a_network_is_taught_what_textures_hold(dataset: LightingDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All light as receivers show it, not direct light at full."""
+    taught = []
+
+    def keep(position: object, normal: object, vectors: np.ndarray, *rest: object) -> None:
+        taught.append(np.asarray(vectors))
+        raise InterruptedError
+
+    monkeypatch.setattr(neural_transfer, "fit_transfer", keep)
+    train = dataset.split("train")
+    with pytest.raises(InterruptedError):
+        prt.method("neural-transfer").fit(train)
+    np.testing.assert_array_equal(taught[0], prt.method("sh-texture").fit(train).basis)
 
 
 def test_frames_show_light_times_colour(dataset: LightingDataset) -> None:
