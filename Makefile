@@ -10,6 +10,10 @@ JOBS ?= 2
 GL     := libegl1 libgl1 libgl1-mesa-dri
 ORACLE := libllvm19
 
+# What JAX compiled is kept, for the test workers to share with each other and with the processes that tests start.
+COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.pytest_cache/jax \
+            JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
+
 .PHONY: run test assets lint format lock clean
 
 # The main job: bake, fit, evaluate, time, report.
@@ -19,7 +23,7 @@ run: $(VENV)/installed
 
 test: $(VENV)/installed-dev
 	@$(call system_packages,$(GL) $(ORACLE))
-	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
+	$(COMPILED) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
 # Meshes that are not vendored, for the scenes that use them; nothing else needs this step.
 assets: $(VENV)/installed

@@ -221,7 +221,7 @@ def held_out(log_ridge):
     return jnp.linalg.norm(off) / jnp.linalg.norm(test.indirect)
 
 
-value_and_slope = jax.value_and_grad(held_out)
+value_and_slope = jax.jit(jax.value_and_grad(held_out))
 places = np.linspace(-5, 0, 6)
 values, slopes = np.array([value_and_slope(place) for place in places]).T
 figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
