@@ -150,8 +150,7 @@ class _Walks:
         """One event of each walk: a collision in the medium, or the boundary."""
         body, (extinction, albedo) = self.body, self._medium
         key = self.key[active.walk] + active.count * _STEP
-        # u < 1, so the logarithm is finite; u = 0 is a step of no length.
-        step = -np.log1p(-uniform(key, np.uint64(0))) / extinction
+        step = free_paths(uniform(key, np.uint64(0)), extinction)
         reach = np.minimum(step, 4.0 * body.extent).astype(np.float32)
         found = body.tracer.trace(active.place.astype(np.float32), active.direction.astype(np.float32), reach)
         face = found["primID"]
@@ -225,6 +224,11 @@ def scattered(
     cosine = np.clip(cosine, -1.0, 1.0)
     frames = tangent_frames(direction, 2.0 * np.pi * second)
     return normalised(np.sqrt(1.0 - cosine**2)[:, None] * frames[:, 0] + cosine[:, None] * direction)
+
+
+def free_paths(u: Float[np.ndarray, " n"], extinction: float) -> Float[np.ndarray, " n"]:
+    """Distances to the next collision in metres from uniform numbers in [0, 1): finite, and 0 at u = 0."""
+    return -np.log1p(-u) / extinction
 
 
 def uniform(key: Int[np.ndarray, " n"], which: np.uint64) -> Float[np.ndarray, " n"]:

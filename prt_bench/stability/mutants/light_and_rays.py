@@ -175,3 +175,44 @@ def clipped(sound: Any) -> Any:
         return sound(type(self)(basis, self.weights), path, dtype)
 
     return naive
+
+
+@mutant("walks of 64 steps", "data_gen.medium_walk:LONGEST", "walks end")
+def short_walks(_: Any) -> Any:
+    """Deep media lose what has not come out yet."""
+    return 64
+
+
+@mutant("free paths by -log u", "data_gen.medium_walk:free_paths", "free paths")
+def infinite_paths(_: Any) -> Any:
+    """Infinite at u = 0, which is drawn."""
+    return lambda u, extinction: -np.log(u) / extinction
+
+
+@mutant("the phase function divided by its anisotropy", "data_gen.medium_walk:scattered", "narrow phase")
+def isotropic_division(sound: Any) -> Any:
+    """0 / 0 where scattering is isotropic."""
+
+    def naive(direction: Any, g: float, first: Any, second: Any) -> Any:
+        cosine = (1 + g * g - ((1 - g * g) / (1 + g - 2 * g * first)) ** 2) / (2 * np.float64(g))
+        return sound(direction, g, first, second) if np.all(np.isfinite(cosine)) else direction * np.nan
+
+    return naive
+
+
+@mutant("media in open bodies", "data_gen.effects.subsurface:check_closed", "a medium needs")
+def open_bodies(_: Any) -> Any:
+    """Walks leave through the hole."""
+    return lambda scene, material: None
+
+
+@mutant("a signed power", "prt_bench.gamma:curve", "slope of gamma")
+def signed_power(_: Any) -> Any:
+    """Infinitely steep at black."""
+    return lambda v, gamma, toe=0.0: jnp.sign(v) * jnp.abs(v) ** (1.0 / gamma)
+
+
+@mutant("a power of negative light", "prt_bench.gamma:curve", "gamma of light")
+def bare_power(_: Any) -> Any:
+    """NaN below zero."""
+    return lambda v, gamma, toe=0.0: v ** (1.0 / gamma)
