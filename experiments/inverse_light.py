@@ -169,20 +169,28 @@ def main() -> None:
                           f"{np.mean(away < FOUND):.0%}", f"{np.median(off):.1%}", f"{seconds:.0f}"])  # fmt: skip
             drawn[f"{name}, {way}"] = found
     table(COLUMNS, lines)
-    draw(drawn, place, low, high, settings.out)
+    draw(drawn, len(settings.methods), place, low, high, settings.out)
 
 
-def draw(found: dict[str, np.ndarray], place: np.ndarray, low: np.ndarray, high: np.ndarray, out: Path) -> None:
-    """Recovered places and the true ones from the front, for each row."""
-    figure, panels = plt.subplots(1, len(found), figsize=(3.2 * len(found), 3.6), squeeze=False, layout="constrained")
-    for panel, (title, places) in zip(panels[0], found.items(), strict=True):
+def draw(
+    found: dict[str, np.ndarray], models: int, place: np.ndarray, low: np.ndarray, high: np.ndarray, out: Path
+) -> None:
+    """Recovered places and the true ones from the front: a column for each of the `models`, a row for each way."""
+    ways = len(found) // models
+    figure, panels = plt.subplots(
+        ways, models, figsize=(3.2 * models, 3.3 * ways), squeeze=False, layout="constrained", sharex=True, sharey=True
+    )
+    for panel, (title, places) in zip(panels.T.ravel(), found.items(), strict=True):
         for a, b in zip(place, places, strict=True):
             panel.plot([a[0], b[0]], [a[1], b[1]], color="0.7", lw=1, zorder=1)
         panel.scatter(place[:, 0], place[:, 1], s=26, facecolors="none", edgecolors="k", label="true place")
         panel.scatter(places[:, 0], places[:, 1], s=9, color="tab:red", label="recovered")
-        panel.set(title=title, xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x in m")
-        panel.title.set_fontsize(9)
-    panels[0, 0].set_ylabel("y in m")
+        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        panel.set_title(title, fontsize=9)
+    for panel in panels[-1]:
+        panel.set_xlabel("x in m")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("y in m")
     panels[0, 0].legend(fontsize=7, loc="lower left")
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=130)

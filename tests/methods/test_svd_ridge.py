@@ -226,12 +226,15 @@ def test_colours_unseen_in_training():
         measured=lit.measured[seen] / colour[seen, None], indirect=lit.indirect[seen] / colour[seen, None]
     )
     colours = {"white": 1.0 / held_out[:, None], "red": np.array([1.0, 0.1, 0.1]) / held_out[:, None]}
+    models = {
+        transfer: prt.method("svd-ridge", basis=16, mean=False, transfer=transfer).fit(white)
+        for transfer in ("shared", "per-channel", "coupled")
+    }
     errors = {
         (transfer, name): error(
-            prt.method("svd-ridge", basis=16, mean=False, transfer=transfer).fit(white),
-            SimpleNamespace(measured=test.measured * factor, indirect=test.indirect * factor),
+            model, SimpleNamespace(measured=test.measured * factor, indirect=test.indirect * factor)
         )
-        for transfer in ("shared", "per-channel", "coupled")
+        for transfer, model in models.items()
         for name, factor in colours.items()
     }
     assert errors["coupled", "white"] < errors["shared", "white"] < 0.3
