@@ -48,23 +48,35 @@ vec4 cosine(vec4 a) { return vec4(-sin(a.w) * a.xyz, cos(a.w)); }
 float logarithm(float a) { return log(a); }
 vec4 logarithm(vec4 a) { return vec4(a.xyz / a.w, log(a.w)); }
 
-// Trilinear interpolation of a table of side³ numbers from `start` on, at node coordinates that are clamped to the table.
+// Quadratic B-spline with side³ coefficients from `start` on, at node coordinates that are clamped to the table.
 layout(std430, binding = 14) readonly buffer Tables { float tables[]; };
-
-float entry(int start, int side, ivec3 cell) { return tables[start + cell.x + side * (cell.y + side * cell.z)]; }
 
 float clamped(float a, float top) { return clamp(a, 0.0, top); }
 vec4 clamped(vec4 a, float top) { return a.w < 0.0 ? vec4(0.0) : (a.w > top ? vec4(0.0, 0.0, 0.0, top) : a); }
 
 #define LOOK_UP(Number) \
+void spline(Number t, out Number weights[3]) { \
+    Number below = plus(-t, 0.5), above = plus(t, 0.5); \
+    weights = Number[](0.5 * times(below, below), plus(-times(t, t), 0.75), 0.5 * times(above, above)); \
+} \
 Number looked_up(int start, int side, Number x, Number y, Number z) { \
-    ivec3 cell = min(ivec3(value(x), value(y), value(z)), ivec3(side - 2)); \
-    Number u = plus(x, -float(cell.x)), v = plus(y, -float(cell.y)), w = plus(z, -float(cell.z)); \
+    ivec3 middle = ivec3(floor(vec3(value(x), value(y), value(z)) + 0.5)), top = ivec3(side - 1); \
+    Number a[3], b[3], c[3]; \
+    spline(plus(x, -float(middle.x)), a); \
+    spline(plus(y, -float(middle.y)), b); \
+    spline(plus(z, -float(middle.z)), c); \
     Number sum = constant(x, 0.0); \
-    for (int corner = 0; corner < 8; ++corner) { \
-        ivec3 up = ivec3(corner & 1, (corner >> 1) & 1, corner >> 2); \
-        Number a = up.x == 1 ? u : plus(-u, 1.0), b = up.y == 1 ? v : plus(-v, 1.0), c = up.z == 1 ? w : plus(-w, 1.0); \
-        sum += entry(start, side, cell + up) * times(a, times(b, c)); \
+    for (int k = 0; k < 3; ++k) { \
+        Number layer = constant(x, 0.0); \
+        for (int j = 0; j < 3; ++j) { \
+            Number row = constant(x, 0.0); \
+            for (int i = 0; i < 3; ++i) { \
+                ivec3 node = clamp(middle + ivec3(i, j, k) - 1, ivec3(0), top); \
+                row += tables[start + node.x + side * (node.y + side * node.z)] * a[i]; \
+            } \
+            layer += times(row, b[j]); \
+        } \
+        sum += times(layer, c[k]); \
     } \
     return sum; \
 }

@@ -1,7 +1,8 @@
 """A triangle mesh as a signed distance on a grid.
 
-Distances are to triangles; which side a node lies on is voted by rays, so small holes and separate shells do no harm: where a
-hole leaves signs and distances at odds, the surface is closed between the nodes.
+Which side a point lies on is voted by rays, and distances are to those pieces of triangles that have one side inside and the
+other outside. So small holes, and shells that reach into each other, do no harm: where a hole leaves signs and distances at
+odds, the surface is closed between the nodes.
 """
 
 import numpy as np
@@ -15,7 +16,8 @@ from prt_bench.implicit.grid import GridDistance
 from prt_bench.progress import track
 from prt_bench.scene import Camera, Material, Mesh, Scene
 
-_CANDIDATES = 24  # triangles whose middles are nearest; the nearest of them is the nearest of all unless it is far away
+_CANDIDATES = 12  # triangles whose middles are nearest; the nearest of them is the nearest of all unless it is far away
+_ASIDE = 0.05  # cells from a triangle to the two points that tell whether it bounds the body
 _NODES = 1 << 14
 _MARGIN = 3  # cells of free space around the mesh
 _MOST = 256
@@ -35,24 +37,39 @@ def grid_of(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], s
     corner = (low + high) / 2.0 - 0.5 * cell * (side - 1)
     k, j, i = np.indices((side,) * 3).reshape(3, -1)
     nodes = corner + cell * np.stack([i, j, k], axis=1)
-    distance = _to_triangles(nodes, vertices, faces, 2.0 * cell)
     mesh = Mesh(np.asarray(vertices, float), np.asarray(faces), np.zeros(len(faces), int))
     camera = Camera(tuple(high + 1.0), tuple(low))
-    inside = Tracer(Scene("mesh", mesh, (Material(),), camera)).inside(nodes)
-    if not inside.any():
+    tracer = Tracer(Scene("mesh", mesh, (Material(),), camera))
+    inside = tracer.inside(nodes)
+    pieces = _boundary(tracer, vertices, faces, cell)
+    if not inside.any() or not len(pieces):
         raise SceneError(
             "the mesh has no inside at this resolution; close its holes, turn its faces, or use more nodes"
         )
+    distance = _to_triangles(nodes, pieces)
     closed = _closed(distance.reshape((side,) * 3), inside.reshape((side,) * 3), cell)
     return GridDistance(closed.reshape(-1).astype(np.float32), tuple(map(float, corner)), cell)
 
 
-def _to_triangles(
-    nodes: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], longest: float
-) -> Float[np.ndarray, " n"]:
-    """Unsigned distance. Triangles are split until no edge is longer than `longest`, so that few of them can be nearest."""
-    fine, fine_faces = trimesh.remesh.subdivide_to_size(np.asarray(vertices, float), np.asarray(faces), longest, 20)[:2]
+def _boundary(
+    tracer: Tracer, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], cell: float
+) -> Float[np.ndarray, "n 3 3"]:
+    """Corners of triangles, split until no edge is longer than a cell, that part inside from outside.
+
+    What lies within the body bounds nothing; distances to it would move the surface between the nodes.
+    """
+    fine, fine_faces = trimesh.remesh.subdivide_to_size(np.asarray(vertices, float), np.asarray(faces), cell, 20)[:2]
     triangles = fine[fine_faces]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    size = np.linalg.norm(across, axis=1)
+    triangles, across = triangles[size > 0], across[size > 0] / size[size > 0, None]
+    step = _ASIDE * cell * across
+    middle = triangles.mean(axis=1)
+    return triangles[tracer.inside(middle - step) & ~tracer.inside(middle + step)]
+
+
+def _to_triangles(nodes: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, " n"]:
+    """Unsigned distance to triangles that are so small that few can be nearest."""
     tree = KDTree(triangles.mean(axis=1))
     found = np.empty(len(nodes))
     count = min(_CANDIDATES, len(triangles))

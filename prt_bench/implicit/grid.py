@@ -12,10 +12,11 @@ from prt_bench.implicit.expression import Distance, Place, Writer, length, lengt
 
 
 class GridDistance(Distance):
-    """Trilinear interpolation of `values` [G³] at nodes `low` + `cell` · (i, j, k), row i + G (j + G k).
+    """Quadratic B-spline with coefficients `values` [G³] at nodes `low` + `cell` · (i, j, k), row i + G (j + G k).
 
-    Inside a cell the gradient is that of the interpolation; it jumps between cells, as a mesh's does between faces. Beyond
-    the grid the distance is √(a² + b²), a to the grid and b at its nearest point: no more than the true one.
+    So the gradient is continuous, and shading shows no cells. The spline smooths: it adds ∇²d `cell`² / 8 to a distance d, and
+    terms of higher order: ∇²d is the sum of the two curvatures. Beyond the grid the distance is √(a² + b²),
+    a to the grid and b at its nearest point.
     """
 
     values: Float[Array, " G3"] | Float[np.ndarray, " G3"]
@@ -43,16 +44,17 @@ class GridDistance(Distance):
         return round(np.size(self.values) ** (1 / 3))
 
     def __call__(self, place: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """Interpolated, and beyond the grid bounded from below."""
+        """The spline, and beyond the grid bounded from below. Nodes beyond its faces repeat those on them."""
         side, values = self.side, like(self.values, place)
         at = (place - like(self.low, place)) / like(self.cell, place)
         nearest = jnp.clip(at, 0.0, side - 1.0)
-        low = jnp.clip(jax.lax.stop_gradient(nearest).astype(jnp.int32), 0, side - 2)
-        share = nearest - low
+        middle = jax.lax.stop_gradient(jnp.floor(nearest + 0.5)).astype(jnp.int32)
+        share = nearest - middle
+        weights = (0.5 * (0.5 - share) ** 2, 0.75 - share**2, 0.5 * (0.5 + share) ** 2)
         found = jnp.zeros(place.shape[:-1], place.dtype)
-        for corner in product((0, 1), repeat=3):
-            i, j, k = (low[..., axis] + corner[axis] for axis in range(3))
-            weight = jnp.prod(jnp.where(jnp.array(corner) == 1, share, 1.0 - share), axis=-1)
+        for step in product(range(3), repeat=3):
+            i, j, k = (jnp.clip(middle[..., axis] + step[axis] - 1, 0, side - 1) for axis in range(3))
+            weight = weights[step[0]][..., 0] * weights[step[1]][..., 1] * weights[step[2]][..., 2]
             found += weight * values[i + side * (j + side * k)]
         away = (at - nearest) * like(self.cell, place)
         beyond = jnp.max(jnp.abs(away), axis=-1) > 0
@@ -74,7 +76,7 @@ class GridDistance(Distance):
 
     @property
     def slope(self) -> float:
-        """√Σ (largest difference along an axis / cell)²: no gradient of the interpolation is longer."""
+        """√Σ (largest difference along an axis / cell)²: the derivatives of the spline are means of these."""
         side = self.side
         table = np.asarray(self.values, float).reshape(side, side, side)
         steepest = [np.abs(np.diff(table, axis=axis)).max() / self.cell for axis in range(3)]

@@ -95,6 +95,17 @@ def test_a_mesh_becomes_its_distance_and_holes_are_closed():
         grid_of(vertices, faces, 4)
 
 
+def test_shells_that_reach_into_each_other_are_one_body():
+    """Within the overlap of two balls the distance is to what can be seen from outside, not to the walls inside."""
+    halves = [trimesh.creation.icosphere(3, 0.4).apply_translation([x, 0.0, 0.0]) for x in (-0.2, 0.2)]
+    both = trimesh.util.concatenate(halves)
+    grid = grid_of(np.array(both.vertices), np.array(both.faces), 32)
+    rim = np.sqrt(0.4**2 - 0.2**2)  # the circle where the balls meet is nearest to the middle of the overlap
+    middle = np.array([[0.0, 0.0, 0.0], [0.05, 0.05, 0.0]])
+    wanted = -np.hypot(middle[:, 0], rim - middle[:, 1])
+    assert np.allclose(np.asarray(distances(grid, middle)), wanted, atol=grid.cell)
+
+
 def test_shipped_scenes_are_built_and_unknown_ones_refused():
     for name in ("blend", "gyroid", "bulb"):
         scene = load_implicit(name)

@@ -36,6 +36,18 @@ def test_slopes_are_those_of_differences_and_within_their_bound(name):
     assert np.mean(gap < 1e-5) > 0.99, "everywhere but at creases"
 
 
+def test_slopes_of_a_grid_are_continuous_and_its_spline_smooths_as_told():
+    grid = SHAPES["grid"]
+    walls = np.asarray(grid.low) + grid.cell * (np.array([[3, 4, 5], [10, 10, 14], [12, 9, 6]]) + 0.5)
+    for axis in np.eye(3):
+        one, other = (np.asarray(gradients(grid, walls + sign * 1e-7 * axis)) for sign in (-1, 1))
+        np.testing.assert_allclose(one, other, atol=1e-5)
+    place = np.asarray(grid.low) + grid.cell * np.array([[17.0, 12.0, 4.0], [5.3, 3.1, 14.8]])
+    r = np.linalg.norm(place, axis=1)
+    added = np.asarray(distances(grid, place)) - (r - 0.6)
+    np.testing.assert_allclose(added, (2.0 / r) * grid.cell**2 / 8.0, rtol=0.03)
+
+
 def test_a_normal_is_unit_where_there_is_no_slope():
     flat = normals(SHAPES["sphere"], PLACES[:1], 1e-3)
     np.testing.assert_allclose(flat, [[0, 1, 0]])
