@@ -26,6 +26,7 @@ READ_BY_BAKE = (
     "hemisphere",
     "visibility",
     "implicit",
+    "modular",
     "spherical",
     "points",
     "transport",

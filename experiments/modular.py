@@ -1,0 +1,194 @@
+"""Modular radiance transfer: a dictionary of blocks, levels made of it, and what that costs and misses.
+
+Builds the dictionary (seconds, bytes, singular values that hold 80, 90 and 95 % of the energy, beside the source paper's).
+Random mazes are then lit by a light in each of some blocks; indirect light after one bounce and after all of them is compared
+with the traced operator of the level's own mesh, beside `operator-ridge` fitted to that level and an ambient term (the mean
+direct light times the factor that fits best). Last, milliseconds of each stage on one core against the number of blocks.
+
+    python experiments/modular.py [--blocks 2 11 41] [--timed 1 11 41 200] [--texels 128] [--data FOLDER]
+
+Draws the floor of the second maze: traced, modular, and their difference. Keeps the dictionary beside the bakes.
+"""
+
+import os
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from _frames import arguments, table
+
+import prt_bench as prt
+from data_gen.direct import direct_irradiance
+from data_gen.journal import data_folder
+from data_gen.levels import EDGE, scene_of
+from data_gen.tracer import Tracer
+from prt_bench.lights import emitters
+from prt_bench.metrics import relative_rmse
+from prt_bench.modular.cube import FACES, one_bounce
+from prt_bench.modular.dictionary import Dictionary, build
+from prt_bench.modular.level import LevelTransfer, maze, transfer
+from prt_bench.modular.modes import _modes, direct_light, enriched, needed
+from prt_bench.points import SurfacePoints
+from prt_bench.timing import interleaved
+from prt_bench.transport import indirect
+
+SHARES = (0.8, 0.9, 0.95)
+PAPER = {"F": (164, 240, 313), "L": (22, 41, 62), "M": (1, 5, 8)}
+PAPER_MS = {11: 1.4, 41: 6.2}
+ALBEDO = ((0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
+LIT = 12  # lightings that are compared
+
+
+def main() -> None:
+    parser = arguments(__doc__, "modular.webp", blocks=[2, 11, 41], timed=[1, 11, 41, 200], texels=128, rays=256)
+    settings = parser.parse_args()
+    folder = settings.data or data_folder()
+    started = time.perf_counter()
+    dictionary = build()
+    seconds = time.perf_counter() - started
+    dictionary.save(Path(folder) / "blocks.safetensors")
+    print(
+        f"dictionary: {seconds:.0f} s, {dictionary.bytes / 1e6:.1f} MB (paper 59 + 60 + 260 s on 12 cores, 4.7 + 1.2 MB)\n"
+    )
+    spectra()
+    rows, shown = [], None
+    for count in settings.blocks:
+        found, picture = study(count, dictionary, settings, folder)
+        rows += found
+        shown = picture if shown is None or count == settings.blocks[min(1, len(settings.blocks) - 1)] else shown
+    table(("blocks", "bounces", "modular", "operator-ridge b64", "ambient", "energy, modular / traced", "noise"), rows)
+    print()
+    table(("blocks", "b", "r", "light", "all, ms", "paper, x86", "pairs", "MB"), timings(dictionary, settings.timed))
+    if shown is not None:
+        draw(settings.out, *shown)
+
+
+def spectra() -> None:
+    """Singular values that hold most of the energy of the one-bounce operator, of direct light, and of both together."""
+    transport, light = one_bounce(16), direct_light(16, (), 63)
+    values = {
+        "F": np.linalg.svd(transport, compute_uv=False),
+        "L": np.linalg.svd(light, compute_uv=False),
+        "M": _modes(transport, *enriched([light], 64), 32).decay,
+    }
+    told = [
+        (name, *(f"{needed(values[name], share)} ({PAPER[name][i]})" for i, share in enumerate(SHARES)))
+        for name in PAPER
+    ]
+    table(("closed cube, 6 × 16² (paper)", "80 %", "90 %", "95 %"), told)
+    print()
+
+
+def study(count: int, dictionary: Dictionary, settings, folder) -> tuple[list[tuple], tuple]:
+    """One maze: rows of the table for one bounce and for all, and what is drawn of it."""
+    level = maze(count, seed=0)
+    scene = scene_of(level, ALBEDO)
+    ds = prt.bake(
+        scene, "point", 128, settings.texels, settings.rays, 16 * count, seed=0, out=folder, supersampling=1
+    )  # fmt: skip
+    random = np.random.default_rng(1)
+    places = EDGE * (
+        np.array([(c, 0.0, r) for c, r in level.cells])[random.integers(0, count, LIT)]
+        + random.uniform(-0.35, 0.35, (LIT, 3))
+    )
+    lightings = [prt.Lighting([prt.PointLight(place, (20.0, 19.0, 17.0))]) for place in places]
+    lit = prt.light(ds, lightings)
+    position, normal = level.points(dictionary.side)
+    every = np.broadcast_to(normal, position.shape).reshape(-1, 3)
+    nowhere = np.zeros(len(every), int)
+    points = SurfacePoints(EDGE * position.reshape(-1, 3), every, np.ones_like(every), nowhere, np.ones_like(every) / 3)
+    direct = direct_irradiance(Tracer(scene), points, emitters(lightings))
+    direct = np.moveaxis(direct.reshape(LIT, *position.shape), 0, 2).reshape(*position.shape[:2], -1)
+    model = transfer(level, dictionary)
+    albedo = np.repeat(np.array(ALBEDO), dictionary.side**2, axis=0)[None] * np.asarray(model.solid)[:, :, None]
+    spread = level.interpolation(ds.points.position / EDGE, ds.points.normal, dictionary.side)
+    rows, pictures = [], ()
+    transport = ds.transport
+    once = np.asarray(
+        indirect(transport.sample_gather(), jnp.asarray(ds.points.albedo, jnp.float32), jnp.asarray(lit.direct), 1)
+    )
+    for bounces, wanted in (("1", once), ("all", lit.indirect)):
+        found = model(
+            jnp.asarray(direct), jnp.tile(jnp.asarray(albedo), LIT), 1 if bounces == "1" else transport.bounces
+        )
+        flat = np.asarray(found).reshape(-1, LIT * 3)
+        ours = np.moveaxis((spread @ flat).reshape(-1, LIT, 3), 1, 0)
+        ridge, ambient = "", ambient_error(lit.direct, wanted)
+        if bounces == "all":
+            fitted = prt.method("operator-ridge", basis=64).fit(ds.split("train"))
+            ridge = f"{relative_rmse(np.asarray(fitted.predict(lit)), wanted):.3f}"
+            pictures = (ds, wanted[0], ours[0])
+        noise = f"{np.median(lit.noise):.3f}" if bounces == "all" else ""
+        energy = f"{ours.mean() / wanted.mean():.3f}"
+        rows.append((count, bounces, f"{relative_rmse(ours, wanted):.3f}", ridge, f"{ambient:.3f}", energy, noise))
+    return rows, pictures
+
+
+def ambient_error(direct: np.ndarray, wanted: np.ndarray) -> float | None:
+    """Of the mean direct light times one factor, chosen with the answer known."""
+    term = np.broadcast_to(direct.mean(axis=1, keepdims=True), wanted.shape)
+    return relative_rmse(np.sum(term * wanted) / np.sum(term * term) * term, wanted)
+
+
+def timings(dictionary: Dictionary, counts: list[int]) -> list[tuple]:
+    """Medians of the three stages and of all, on one core, and the size of the level's operator."""
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    works, models = {}, {}
+    for count in counts:
+        models[count] = model = transfer(maze(count, seed=0), dictionary)
+        light = jnp.ones((count, FACES * dictionary.side**2, 3), jnp.float32)
+        b = model.coefficients(light)
+        r = model.arriving(b)
+        for name, call, given in (
+            ("b", LevelTransfer.coefficients, (light,)),
+            ("r", LevelTransfer.arriving, (b,)),
+            ("light", LevelTransfer.indirect, (b, r)),
+            ("all", once_through, (light,)),
+        ):
+            works[count, name] = jax.jit(call).lower(model, *given).compile(), (model, *given)
+
+    def clock(work: tuple) -> float:
+        started = time.perf_counter()
+        jax.block_until_ready(work[0](*work[1]))
+        return (time.perf_counter() - started) * 1e3
+
+    found = interleaved(works, clock, 15, 2)
+    os.sched_setaffinity(0, cores)
+    return [
+        (count, *(f"{found[count, name].median:.2f}" for name in ("b", "r", "light", "all")), PAPER_MS.get(count, ""),
+         len(models[count].pairs), f"{models[count].pairs.nbytes / 1e6:.1f}")
+        for count in counts
+    ]  # fmt: skip
+
+
+def once_through(model: LevelTransfer, radiosity: jax.Array) -> jax.Array:
+    """All three stages."""
+    b = model.coefficients(radiosity)
+    return model.indirect(b, model.arriving(b))
+
+
+def draw(path: Path, ds: prt.LightingDataset, wanted: np.ndarray, found: np.ndarray) -> None:
+    """The floor from above under the first lighting."""
+    floor = ds.points.normal[:, 1] > 0.5
+    x, z = ds.points.position[floor][:, [0, 2]].T / EDGE
+    top = np.quantile(wanted[floor], 0.99)
+    figure, axes = plt.subplots(1, 3, figsize=(12, 12 / 3 * np.ptp(z) / np.ptp(x) + 0.6), layout="constrained")
+    size = 0.5 * (72 * 12 / 3 / np.ptp(x) / 12) ** 2
+    parts = (("traced", wanted / top), ("modular", found / top), ("difference × 4", 0.5 + 4.0 * (found - wanted) / top))
+    for axis, (title, light) in zip(axes, parts, strict=True):
+        axis.scatter(
+            x, z, c=np.clip(light[floor], 0, 1) ** (1 if "dif" in title else 1 / 2.2), s=size, marker="s", lw=0
+        )
+        axis.set(title=title, aspect="equal", xticks=[], yticks=[])
+        axis.invert_yaxis()
+        axis.set_frame_on(False)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,236 @@
+"""Levels: blocks on a grid, which are open to their neighbours unless a wall stands between, and the light in them.
+
+Connectivity alone decides how light passes from block to block: breadth first from every block, its lightfields are carried
+through interfaces to a depth, and summed for each block and interface it enters: T, a sparse matrix of blocks [R, B].
+"""
+
+import tomllib
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.sparse import csr_array
+
+from prt_bench.errors import SpecError
+from prt_bench.modular.cube import FACES, Met, bilinear, quarter_turn, sample_points
+from prt_bench.modular.dictionary import FACE_OF_SIDE, SIDES, Dictionary, entry_of
+
+Cell = tuple[int, int]
+STEPS: tuple[Cell, ...] = ((1, 0), (0, -1), (-1, 0), (0, 1))
+"""Neighbours beyond the sides +x, −z, −x, +z, in columns and rows."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """Cells (column, row) of a flat grid that hold a block, and pairs of neighbours with a wall between them.
+
+    Raises `SpecError` for no cell, a cell twice, and walls that are not between neighbouring blocks.
+    """
+
+    cells: tuple[Cell, ...]
+    walls: frozenset[frozenset[Cell]] = frozenset()
+
+    def __post_init__(self) -> None:
+        if not self.cells or len(set(self.cells)) < len(self.cells):
+            raise SpecError("a level needs at least one block, and each cell once")
+        for wall in self.walls:
+            one, *other = sorted(wall)
+            if not other or set(wall) - set(self.cells) or tuple(np.subtract(other[0], one)) not in STEPS:
+                raise SpecError(f"the wall {sorted(wall)} of a level is not between two neighbouring blocks")
+
+    @property
+    def open(self) -> list[dict[int, int]]:
+        """For every block the sides that are missing, and the block behind each."""
+        index = {cell: at for at, cell in enumerate(self.cells)}
+        found = []
+        for cell in self.cells:
+            beyond = {side: (cell[0] + step[0], cell[1] + step[1]) for side, step in enumerate(STEPS)}
+            found.append(
+                {
+                    side: index[other]
+                    for side, other in beyond.items()
+                    if other in index and frozenset((cell, other)) not in self.walls
+                }
+            )
+        return found
+
+    def points(self, side: int) -> tuple[Float[np.ndarray, "N n 3"], Float[np.ndarray, "n 3"]]:
+        """Positions of every block's samples, in edges of a block, and their normals. Block (i, j) is centred at (i, 0, j)."""
+        position, normal = sample_points(side)
+        middle = np.array([(column, 0.0, row) for column, row in self.cells])
+        return middle[:, None] + position, normal
+
+    def interpolation(
+        self, position: Float[np.ndarray, "P 3"], normal: Float[np.ndarray, "P 3"], side: int
+    ) -> csr_array:
+        """[P, N n]: light at points on the level's faces from light at all blocks' samples; lengths in edges of a block.
+
+        Raises `SpecError` for a point that lies in no block.
+        """
+        index = {cell: at for at, cell in enumerate(self.cells)}
+        within = position + 1e-3 * normal
+        cells = [(column, row) for column, row in np.round(within[:, [0, 2]]).astype(int).tolist()]
+        lost = next((cell for cell in cells if cell not in index), None)
+        if lost is not None:
+            raise SpecError(f"a point lies in cell {lost}, where the level has no block")
+        block = np.array([index[cell] for cell in cells])
+        local = np.clip(position - np.insert(np.array(cells, float), 1, 0.0, axis=1) + 0.5, 0.0, 1.0)
+        axis, rows = np.argmax(np.abs(normal), axis=1), np.arange(len(block))
+        face = 2 * axis + (normal[rows, axis] > 0)
+        met = Met(face, local[rows, (axis + 1) % 3], local[rows, (axis + 2) % 3])
+        columns, weights = bilinear(met, side)
+        columns = columns + (block * FACES * side * side)[:, None]
+        shape = (len(block), len(self.cells) * FACES * side * side)
+        return csr_array((weights.ravel(), columns.ravel(), 4 * np.arange(len(block) + 1)), shape=shape)
+
+    def surfaces(self) -> list[tuple[int, int]]:
+        """(block, face) of all faces that are there."""
+        missing = [{FACE_OF_SIDE[side] for side in sides} for sides in self.open]
+        return [(block, face) for block, gone in enumerate(missing) for face in range(FACES) if face not in gone]
+
+
+def maze(blocks: int, seed: int = 0, loops: float = 0.15) -> Level:
+    """A random maze: a tree of blocks grown cell by cell, with a passage through a share `loops` of the walls between others.
+
+    Raises `SpecError` for fewer than one block.
+    """
+    if blocks < 1 or not 0 <= loops <= 1:
+        raise SpecError(f"a maze needs at least 1 block and a share of loops from 0 to 1, not {blocks} and {loops}")
+    random = np.random.default_rng(seed)
+    cells, passages = [(0, 0)], set()
+    while len(cells) < blocks:
+        cell = (
+            cells[random.integers(max(0, len(cells) - 4), len(cells))]
+            if random.random() < 0.8
+            else cells[random.integers(len(cells))]
+        )
+        step = STEPS[random.integers(SIDES)]
+        other = (cell[0] + step[0], cell[1] + step[1])
+        if other not in cells:
+            passages.add(frozenset((cell, other)))
+            cells.append(other)
+    walls = set()
+    for cell in cells:
+        for step in STEPS[:2]:
+            pair = frozenset((cell, (cell[0] + step[0], cell[1] + step[1])))
+            if len(pair & set(cells)) == 2 and pair not in passages and random.random() >= loops:
+                walls.add(pair)
+    return Level(tuple(cells), frozenset(walls))
+
+
+def load_level(path: Path) -> Level:
+    """A level from TOML: `blocks` as pairs of column and row, and optional `walls` as pairs of those.
+
+    Raises `SpecError` where the file cannot be read as such.
+    """
+    try:
+        read = tomllib.loads(path.read_text(encoding="utf-8"))
+        cells = tuple((int(column), int(row)) for column, row in read["blocks"])
+        walls = frozenset(frozenset((int(i), int(j)) for i, j in pair) for pair in read.get("walls", []))
+    except (OSError, KeyError, TypeError, ValueError) as reason:
+        raise SpecError(f"{path} describes no level ({reason}); give `blocks = [[0, 0], [1, 0]]`") from reason
+    unknown = set(read) - {"blocks", "walls"}
+    if unknown:
+        raise SpecError(f"{path} has the unknown keys {sorted(unknown)}; a level has `blocks` and `walls`")
+    return Level(cells, walls)
+
+
+class LevelTransfer(eqx.Module):
+    """Indirect light of a level from the radiosity of its blocks' samples; differentiable in that and in all matrices.
+
+    Blocks N, their `kind` in the dictionary; `order` [N, n] their samples as the entry has them. E pairs (interface, source):
+    `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with the block they lead into and `entry_order` [I, n].
+    """
+
+    dictionary: Dictionary
+    kind: Int[Array, " N"]
+    order: Int[Array, "N n"]
+    back: Int[Array, "N n"]
+    pairs: Float[Array, "E R B"]
+    pair_to: Int[Array, " E"]
+    pair_from: Int[Array, " E"]
+    enters: Int[Array, " I"]
+    entry_back: Int[Array, "I n"]
+    solid: Float[Array, "N n"]
+
+    def coefficients(self, radiosity: Float[Array, "N n C"]) -> Float[Array, "N B C"]:
+        """b of every block."""
+        turned = jnp.take_along_axis(radiosity, self.order[:, :, None], axis=1)
+        return jnp.einsum("nbs,nsc->nbc", self.dictionary.read[self.kind], turned, precision="highest")
+
+    def arriving(self, b: Float[Array, "N B C"]) -> Float[Array, "I R C"]:
+        """r of every interface: what enters through it from all blocks."""
+        parts = jnp.einsum("erb,ebc->erc", self.pairs, b[self.pair_from], precision="highest")
+        return jax.ops.segment_sum(parts, self.pair_to, len(self.enters))
+
+    def indirect(self, b: Float[Array, "N B C"], r: Float[Array, "I R C"]) -> Float[Array, "N n C"]:
+        """Irradiance at every block's samples; 0 on missing faces."""
+        own = jnp.einsum("nsb,nbc->nsc", self.dictionary.basis[self.kind], b, precision="highest")
+        own = jnp.take_along_axis(own, self.back[:, :, None], axis=1)
+        entered = jnp.einsum("sr,irc->isc", self.dictionary.arriving, r, precision="highest")
+        entered = jnp.take_along_axis(entered, self.entry_back[:, :, None], axis=1)
+        return (own + jax.ops.segment_sum(entered, self.enters, len(self.kind))) * self.solid[:, :, None]
+
+    def __call__(
+        self, direct: Float[Array, "N n C"], albedo: Float[Array, "N n C"] | float, bounces: int = 1
+    ) -> Float[Array, "N n C"]:
+        """Indirect irradiance after so many bounces, each from what the one before it left."""
+        light = jnp.zeros_like(direct)
+        for _ in range(bounces):
+            b = self.coefficients(albedo * (direct + light))
+            light = self.indirect(b, self.arriving(b))
+        return light
+
+
+def transfer(level: Level, dictionary: Dictionary, depth: int = 8) -> LevelTransfer:
+    """Carry every block's lightfields through up to `depth` interfaces, and set up the operators of the level."""
+    if depth < 1:
+        raise SpecError(f"light in a level passes through at least 1 interface, not {depth}")
+    doors = level.open
+    entries = [entry_of(sides) for sides in doors]
+    turns = [np.arange(dictionary.basis.shape[1])]
+    for _ in range(SIDES - 1):
+        turns.append(turns[-1][quarter_turn(dictionary.side)])
+    leave, onwards, arrive = (np.asarray(part, np.float64) for part in (
+        dictionary.leave, dictionary.onwards, dictionary.arrive))  # fmt: skip
+    interfaces: dict[tuple[int, int], int] = {}  # (block, direction of the light that enters it)
+    for sides in doors:
+        for side, other in sides.items():
+            interfaces[other, side] = len(interfaces)
+    to, from_, pairs = [], [], []
+    for source, sides in enumerate(doors):
+        kind, quarters = entries[source]
+        summed: dict[tuple[int, int], np.ndarray] = {}
+        front = {(other, side): leave[kind, (side - quarters) % SIDES] for side, other in sides.items()}
+        for _ in range(depth):
+            following: dict[tuple[int, int], np.ndarray] = defaultdict(lambda: np.zeros(leave.shape[2:]))
+            for (block, along), light in front.items():
+                summed[block, along] = summed.get((block, along), 0.0) + arrive @ light
+                for way, quarter in zip(onwards, (0, 1, -1), strict=True):
+                    exit_ = (along + quarter) % SIDES
+                    if exit_ in doors[block]:
+                        following[doors[block][exit_], exit_] += way @ light
+            front = following
+        for key, matrix in summed.items():
+            to.append(interfaces[key])
+            from_.append(source)
+            pairs.append(matrix)
+    shape = (0, arrive.shape[0], leave.shape[3])
+    here = np.array([[face not in {FACE_OF_SIDE[side] for side in sides} for face in range(FACES)] for sides in doors])
+    return LevelTransfer(
+        dictionary,
+        jnp.array([kind for kind, _ in entries]),
+        jnp.array([turns[-quarters % SIDES] for _, quarters in entries]),
+        jnp.array([turns[quarters] for _, quarters in entries]),
+        jnp.asarray(np.stack(pairs) if pairs else np.zeros(shape), jnp.float32),
+        jnp.array(to, jnp.int32),
+        jnp.array(from_, jnp.int32),
+        jnp.array([block for block, _ in interfaces], jnp.int32),
+        jnp.array(np.array(turns)[np.array([along for _, along in interfaces], int)]),
+        jnp.asarray(np.repeat(here, dictionary.side**2, axis=1), jnp.float32),
+    )

@@ -1,0 +1,140 @@
+"""Light through a missing face of a cube, in few numbers: how it leaves a block, goes on through blocks, and arrives.
+
+A lightfield is radiance at `places`² points of a square interface and `turns`² directions through it. Directions are the
+middles of equal parts of the unit disk under the hemisphere (cos θ = √(1 − r²)), so every entry carries the same share of
+the flux, and the plain inner product is that of energy. Coordinates on an interface are to the right and up, seen along the
+light, with +y up; canonical light leaves through +x, or enters through −x and goes on along +x. Propagation within a block is
+then straight, left or right. Levels are flat: light that goes up or down meets a surface.
+"""
+
+from typing import Literal, NamedTuple, get_args
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array, vstack
+
+from prt_bench.linalg import leading_basis, svd
+from prt_bench.modular.cube import Met, bilinear, cosine_rays, disk, interpolation, meet, sample_points, square
+
+Way = Literal["straight", "left", "right"]
+WAYS: tuple[Way, ...] = get_args(Way)
+_FRAMES: dict[Way, np.ndarray] = {  # rows: right, up, along
+    "straight": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "left": np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]),
+    "right": np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+_ENTRANCE = 1  # the face −x
+_FINE = 3  # directions across each part of the disk
+
+
+class Grid(NamedTuple):
+    """Resolution of a lightfield: points and directions along a side."""
+
+    places: int = 12
+    turns: int = 24
+
+    @property
+    def size(self) -> int:
+        """Numbers of a lightfield."""
+        return self.places**2 * self.turns**2
+
+
+class Interface(NamedTuple):
+    """What passes through interfaces, for lightfields in k numbers h with ‖h‖ ≤ that of the lightfield.
+
+    `onwards` [3, k, k] from the entrance to the exits straight, left and right; `read` [R, k] and `basis` [n, R] from the
+    entrance to irradiance on the block's samples, the basis orthonormal.
+    """
+
+    onwards: Float[np.ndarray, "3 k k"]
+    read: Float[np.ndarray, "R k"]
+    basis: Float[np.ndarray, "n R"]
+
+
+def emission(side: int, grid: Grid) -> csr_array:
+    """From the radiosity of a cube's samples to the lightfield that leaves through +x: [s, n], radiance = radiosity / π."""
+    origin, direction = _leaving("straight", grid)
+    return interpolation(origin, -direction, side) / (np.pi * direction.shape[1])
+
+
+def propagation(way: Way, grid: Grid) -> csr_array:
+    """From a lightfield that enters through −x to that which leaves on one of the three ways, unless it meets a face."""
+    origin, direction = _leaving(way, grid)
+    rays = direction.shape[1]
+    met = meet(np.repeat(origin, rays, axis=0), -direction.reshape(-1, 3))
+    return _looked_up(met, direction.reshape(-1, 3), np.repeat(np.arange(grid.size), rays), grid, grid.size) / rays
+
+
+def response(side: int, grid: Grid, across: int = 64) -> csr_array:
+    """From a lightfield that enters through −x to irradiance at the samples: [n, s], by `across`² rays from each."""
+    position, normal = sample_points(side)
+    rays = across * across
+    parts = []
+    for at in range(0, len(position), 256):
+        rows = slice(at, at + 256)
+        direction = cosine_rays(normal[rows], across).reshape(-1, 3)
+        owner = np.repeat(np.arange(len(position[rows])), rays)
+        met = meet(np.repeat(position[rows], rays, axis=0), direction)
+        parts.append(_looked_up(met, -direction, owner, grid, len(position[rows])))
+    return csr_array(vstack(parts)) * (np.pi / rays)
+
+
+def _leaving(way: Way, grid: Grid) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s R 3"]]:
+    """Places of a lightfield that leaves a block, and `_FINE`² directions for each."""
+    right, up, along = _FRAMES[way]
+    middles = (np.arange(grid.places) + 0.5) / grid.places - 0.5
+    t, s = (part.reshape(-1, 1) for part in np.meshgrid(middles, middles, indexing="ij"))
+    origin = 0.5 * along + s * right + t * up
+    cells = (np.arange(grid.turns * _FINE) + 0.5) / (grid.turns * _FINE)
+    b, a = (part.reshape(grid.turns, _FINE, grid.turns, _FINE) for part in np.meshgrid(cells, cells, indexing="ij"))
+    a, b = (part.transpose(0, 2, 1, 3).reshape(grid.turns**2, _FINE**2, 1) for part in (a, b))
+    x, y = disk(a, b)
+    direction = x * right + y * up + np.sqrt(np.maximum(0.0, 1.0 - x * x - y * y)) * along
+    return np.repeat(origin, grid.turns**2, axis=0), np.tile(direction, (grid.places**2, 1, 1))
+
+
+def _looked_up(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray, grid: Grid, rows: int) -> csr_array:
+    """Interpolation in the lightfield at the entrance for rays that meet it, summed over the rays of each row."""
+    through = np.flatnonzero(met.face == _ENTRANCE)
+    right, up, _ = _FRAMES["straight"]
+    # Fractions of face −x are along y and z, which are up and right.
+    where = Met(np.zeros(len(through), int), met.v[through], met.u[through])
+    towards = direction[through]
+    a, b = square(towards @ right, towards @ up)
+    place_at, place_weight = bilinear(where, grid.places)
+    turn_at, turn_weight = bilinear(Met(where.face, a, b), grid.turns)
+    columns = place_at[:, :, None] * grid.turns**2 + turn_at[:, None, :]
+    weights = place_weight[:, :, None] * turn_weight[:, None, :]
+    index = np.repeat(owner[through], 16)
+    table = csr_array((weights.ravel(), (index, columns.ravel())), shape=(rows, grid.size))
+    table.sum_duplicates()
+    return table
+
+
+def spanning(lightfields: Float[np.ndarray, "s m"], ways: list[csr_array], count: int, rounds: int = 3) -> np.ndarray:
+    """H [s, k]: an orthonormal basis of lightfields that leave blocks, and of what `rounds` steps through blocks make of them.
+
+    After each step what it gives is scaled to the norm of the basis before it, put beside it, and the leading vectors of both
+    are kept.
+    """
+    found = _leading(lightfields / np.linalg.norm(lightfields), count)
+    for _ in range(rounds):
+        moved = np.concatenate([way @ found for way in ways], axis=1)
+        found = _leading(np.concatenate([found / np.linalg.norm(found), moved / np.linalg.norm(moved)], axis=1), count)
+    size = np.linalg.norm(found, axis=0)
+    return found[:, size > 0] / size[size > 0]
+
+
+def _leading(columns: np.ndarray, count: int) -> np.ndarray:
+    """Leading left singular vectors times singular values."""
+    vectors, values = (
+        np.asarray(part) for part in leading_basis(jnp.asarray(columns), min(count, columns.shape[1]), 0.0)
+    )
+    return vectors * values[: vectors.shape[1]]
+
+
+def contracted(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """The nearest matrix with no singular value above 1: light that passes through a block is not amplified."""
+    u, s, vt = (np.asarray(factor) for factor in svd(jnp.asarray(matrix)))
+    return (u * np.minimum(s, 1.0)) @ vt
