@@ -14,6 +14,7 @@ Writes neural_transfer.json, .md and pictures to --out, and a figure beside the 
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
@@ -21,6 +22,8 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axis import Axis
+from matplotlib.ticker import FixedLocator, NullLocator
 from PIL import Image
 
 import prt_bench as prt
@@ -230,16 +233,22 @@ def draw(path: Path, found: dict, settings: argparse.Namespace) -> None:
                 if not chosen:
                     continue
                 line[0].plot(
-                    [row["bytes"] for row in chosen], [row["error"] for row in chosen], marker + "-", color=colour,
+                    [row["bytes"] / 1e3 for row in chosen], [row["error"] for row in chosen], marker + "-", color=colour,
                     markersize=4, linewidth=1, label=f"{encoding}, depth {depth}",
                 )  # fmt: skip
-        line[0].axhline(study_["noise"], color="grey", linestyle=":", linewidth=1)
-        line[0].axhline(study_["goal"], color="black", linestyle="--", linewidth=1)
-        line[0].set(xscale="log", yscale="log", xlabel="bytes", ylabel=f"{name}: relative RMSE, fresh points")
+        line[0].axhline(study_["noise"], color="grey", linestyle=":", linewidth=1, label="noise of the points")
+        line[0].axhline(study_["goal"], color="black", linestyle="--", linewidth=1, label="goal")
+        line[0].set(xscale="log", yscale="log", ylabel=f"{name}: relative RMSE, fresh points")
+        ticks_at(line[0].yaxis, (0.02, 0.05, 0.1, 0.2, 0.5))
         timed = sorted((row for row in rows if "fragment" in row), key=lambda row: row["bytes"])
         for by in ("fragment", "compute"):
-            line[1].plot([row["bytes"] for row in timed], [row[by] for row in timed], "o-", label=by, markersize=4)
-        line[1].set(xscale="log", xlabel="bytes", ylabel="ms of a frame")
+            line[1].plot(
+                [row["bytes"] / 1e3 for row in timed], [row[by] for row in timed], "o-", label=by, markersize=4
+            )
+        line[1].set(xscale="log", ylabel="ms of a frame")
+        for plot in line[:2]:
+            plot.set_xlabel("kB of the network")
+            ticks_at(plot.xaxis, (5, 10, 20, 50, 100, 200))
         line[1].set_ylim(bottom=0)
         line[2].imshow(np.asarray(Image.open(study_["picture"]["path"])))
         line[2].set_title(f"{label(rows[study_['chosen']])}", fontsize=9)
@@ -249,6 +258,13 @@ def draw(path: Path, found: dict, settings: argparse.Namespace) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=90, pil_kwargs={"quality": 88} if path.suffix == ".webp" else None)
     print(f"picture: {path}")
+
+
+def ticks_at(axis: Axis, values: Sequence[float]) -> None:
+    """Plain numbers on a logarithmic axis."""
+    axis.set_major_locator(FixedLocator(list(values)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 if __name__ == "__main__":
