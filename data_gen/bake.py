@@ -11,14 +11,17 @@ import time
 from collections.abc import Mapping, Sequence
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
 
+from data_gen.cost import comparison, spent
+from data_gen.decisions import Plan
 from data_gen.hull import hull_scene
-from data_gen.journal import content_key, create_array, data_folder, resumable
+from data_gen.journal import begun, content_key, create_array, data_folder, resumable
 from data_gen.light import LightPass
-from data_gen.plan import MeasureOn, plan
+from data_gen.plan import HELD_OUT_LEAST, Auto, MeasureOn, plan, with_more_rays
 from data_gen.sampling import measurement_points, on_pose
 from data_gen.scenarios import check_lightings, sample_lightings
 from data_gen.stream import write_streamed
@@ -31,7 +34,6 @@ from prt_bench.progress import say, track
 from prt_bench.scene import Scene
 from prt_bench.store import FORMAT, write_array, write_points
 
-HELD_OUT_LEAST = 16
 _VERSION = 2  # raise when the same inputs would give other numbers
 
 
@@ -40,7 +42,7 @@ def bake(
     scenario: str = "spot",
     lightings: int = 128,
     texels: int = 128,
-    rays: int = 256,
+    rays: int | Auto = 256,
     measurements: int = 256,
     seed: int = 0,
     out: str | Path | None = None,
@@ -48,7 +50,7 @@ def bake(
     supersampling: int = 8,
     ood: Sequence[str] = (),
     tolerance: float = 1e-4,
-    gather_texels: int | None = None,
+    gather_texels: int | Auto | None = None,
     layout: LightingDataset | None = None,
     streamed: int = 0,
     measure_on: MeasureOn = "surface",
@@ -57,6 +59,9 @@ def bake(
     node_tolerance: float = 0.02,
     mips: int = 0,
     texture_set: bool = False,
+    noise: float = 0.02,
+    gather_tolerance: float = 0.05,
+    force: Sequence[str] = (),
 ) -> LightingDataset:
     """Bake direct and indirect light of `scene` under lightings drawn from `scenario`.
 
@@ -109,18 +114,18 @@ def bake(
         node_tolerance,
         mips,
         texture_set,
+        noise,
+        gather_tolerance,
+        force,
+        seed,
+        out,
     )
     if layout is not None:
         if "hull" in (measure_on, layout.metadata.get("measure_on")):
             raise SpecError("a hull has no places that another pose could keep; measure poses on the surface")
         shared = {"texels": texels, "measurements": measurements, "supersampling": supersampling}
         _check_layout(scene, layout, {**shared, "mips": mips, "texture_set": texture_set})
-    atlas = None if layout is None else layout.transport
-    folder = Path(out) if out is not None else data_folder()
-    about = {
-        "version": _VERSION,
-        "format": FORMAT,
-        "transport": transport_key(scene, settings, seed, atlas),
+    asked = {
         **({} if layout is None else {"layout": layout.hash}),
         "camera": vars(scene.camera),
         "scenario": scenario,
@@ -132,7 +137,36 @@ def bake(
         "ood": list(ood),
         "tolerance": tolerance,
         "seed": seed,
+        **({"force": list(settings.force)} if settings.force else {}),
+        **({"noise": noise} if settings.noise else {}),
     }
+    planned = time.perf_counter() - started
+    while True:
+        ds = _bake(scene, settings, asked, layout, Path(out) if out is not None else data_folder(), workers, planned)
+        floor = ds.split("test").noise_floor if settings.noise else 0.0
+        if floor <= settings.noise:
+            return ds
+        settings = with_more_rays(settings, scene, floor)
+        say(f"{scene.name}: noise {floor:.2%} where {noise:.2%} was asked for; {settings.rays} rays per point")
+
+
+def _bake(
+    scene: Scene,
+    settings: Plan,
+    asked: Mapping[str, Any],
+    layout: LightingDataset | None,
+    folder: Path,
+    workers: int | None,
+    planned: float,
+) -> LightingDataset:
+    """Trace and light what `settings` decided and `asked` says, which names the store; `planned` seconds came before."""
+    started = time.perf_counter()
+    scenario, lightings, seed = asked["scenario"], asked["lightings"], asked["seed"]
+    measurements, supersampling = asked["measurements"], asked["supersampling"]
+    streamed, measure_on = asked.get("streamed", 0), asked.get("measure_on", "surface")
+    atlas = None if layout is None else layout.transport
+    key = transport_key(scene, settings, seed, atlas)
+    about = {"version": _VERSION, "format": FORMAT, "transport": key, **asked}
     path = folder / f"dataset-{scene.name}-{scenario}-{content_key(about)}.zarr"
     tracer = Tracer(scene, workers)
     if path.is_dir():
@@ -140,16 +174,18 @@ def bake(
         return LightingDataset.open(path)
 
     # What may be refused comes before the rays.
-    lights, splits = _draw(scene, scenario, lightings, ood, seed, tracer)
+    lights, splits = _draw(scene, scenario, lightings, asked["ood"], seed, tracer)
     further = sample_lightings(scene, scenario, streamed, [seed, 2], tracer) if streamed else ()
     if layout is None:
         place = hull_scene(scene, tracer) if measure_on == "hull" else scene
         points = measurement_points(place, measurements, supersampling, seed, tracer)
     else:
         points = (on_pose(scene, layout.measurement_points), on_pose(scene, layout.dense_points), layout.groups)
-    tracing = time.perf_counter()
+    store = folder / f"transport-{scene.name}-{key}.zarr"
+    before = {"traced_before": store.is_dir(), "resumed": begun(store) or begun(path)}
+    tracing, cast = time.perf_counter(), (tracer.nearest, tracer.shadow)
     transport = trace(scene, settings, seed, folder, tracer, atlas)
-    traced = time.perf_counter() - tracing
+    traced, gather_rays = time.perf_counter() - tracing, tracer.nearest - cast[0]
     light = LightPass(transport, tracer, emitters(lights), settings)
     columns = len(lights) * light.channels
     needed = 4 * len(transport.receivers) * columns * 2.25 + 4 * streamed * (len(transport.samples) + measurements)
@@ -175,28 +211,36 @@ def bake(
         write_points(group, "measurement_points", points[0])
         write_points(group, "dense_points", points[1])
         _write_lightings(group, lights)
+        seconds = time.perf_counter() - started
         metadata = {
             **about,
             "scene": scene.name,
-            "transport": f"transport-{scene.name}-{transport.key}.zarr",
+            "transport": store.name,
             "splits": splits,
             "held_out": splits["train"][1],
             "channels": light.channels,
-            "texels": texels,
+            "texels": settings.texels,
             "gather_texels": settings.gather_texels,
-            "rays": rays,
-            **({"node_rays": node_rays, "node_tolerance": node_tolerance} if node_rays else {}),
-            **({"mips": mips} if mips else {}),
-            **({"texture_set": True} if texture_set else {}),
+            "rays": settings.rays,
+            **(
+                {"node_rays": settings.node_rays, "node_tolerance": settings.node_tolerance}
+                if settings.node_rays
+                else {}
+            ),
+            **({"gather_tolerance": settings.gather_tolerance} if settings.gather_tolerance else {}),
+            **({"mips": settings.mips} if settings.mips else {}),
+            **({"texture_set": True} if settings.texture_set else {}),
             "bounces": transport.bounces,
             "effects": list(settings.effects),
             "plan": settings.to_json(),
             "predicted": vars(settings.cost),
-            "seconds": {"trace": traced, "light": time.perf_counter() - started - traced},
+            "actual": {**spent(gather_rays, tracer.shadow - cast[1], (partial, store), seconds), **before},
+            "seconds": {"plan": planned, "trace": traced, "light": seconds - traced},
             "hash": hashlib.sha256(("".join(digests) + _digest(measured)).encode()).hexdigest(),
         }
         group.attrs.update({"kind": "dataset", "format": FORMAT, "metadata": json.dumps(metadata)})
-    say(f"baked {scene.name} ({scenario}): {len(lights)} lightings in {time.perf_counter() - started:.1f} s")
+    say(f"baked {scene.name} ({scenario}): {len(lights)} lightings in {planned + seconds:.1f} s")
+    say(comparison(metadata["predicted"], metadata["actual"]))
     return LightingDataset.open(path)
 
 
@@ -211,7 +255,11 @@ def light(ds: LightingDataset, lightings: Sequence[Lighting], workers: int | Non
     tracer = Tracer(ds.scene, workers)
     check_lightings(ds.scene, lights, tracer)
     settings = plan(
-        ds.scene, texels=ds.metadata["texels"], rays=ds.metadata["rays"], tolerance=ds.metadata["tolerance"]
+        ds.scene,
+        texels=ds.metadata["texels"],
+        rays=ds.metadata["rays"],
+        tolerance=ds.metadata["tolerance"],
+        force=ds.metadata.get("force", ()),
     )
     passes = LightPass(ds.transport, tracer, emitters(lights), settings)
     parts = [passes.receive(slice(at, at + CHUNK)) for at in range(0, len(ds.points), CHUNK)]

@@ -29,9 +29,13 @@ def buried(tracer: Tracer, points: SurfacePoints, seed: int) -> Bool[np.ndarray,
 
 
 def trace_hits(
-    tracer: Tracer, resolver: HitResolver, sampler: HemisphereSampler, points: SurfacePoints, first: int
+    tracer: Tracer,
+    resolver: HitResolver,
+    sampler: HemisphereSampler,
+    points: SurfacePoints,
+    first: int | Int[np.ndarray, " P"],
 ) -> Int[np.ndarray, "P R"] | UInt[np.ndarray, "P R"]:
-    """Hit table rows of `points`, whose global indices start at `first`. Same result for any number of workers.
+    """Hit table rows of `points`, whose global indices start at `first` or are given. Same result for any number of workers.
 
     A ray that carries nothing holds the number of samples, one that escaped one more. Where a normal is not that of the
     point's face, rays below the face carry nothing: the surface hides them.

@@ -53,7 +53,7 @@ def resumable(path: Path, needed_bytes: int) -> Iterator[tuple[Path, Journal]]:
     Raises `DatasetError` before the store is begun when the disk cannot hold `needed_bytes`, and when it fills up on the
     way; what was finished stays under the partial name and the next run goes on from there.
     """
-    partial = path.with_name(path.name + ".partial")
+    partial = _partial(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(path.parent).free
     if free < needed_bytes:
@@ -79,6 +79,15 @@ def write_whole(path: Path, content: bytes) -> None:
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
+
+
+def begun(path: Path) -> bool:
+    """Whether an interrupted run left a part of a store."""
+    return _partial(path).is_dir()
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(path.name + ".partial")
 
 
 @contextmanager

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from data_gen.decisions import Plan
 from data_gen.direct import direct_irradiance
-from data_gen.plan import Plan
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.emitters import Emitters

@@ -1,108 +1,36 @@
-"""What a scene calls for, decided before anything is simulated: each decision with its reason, and the predicted cost."""
+"""What a scene calls for, decided before anything is simulated: each decision with its reason, and the predicted cost.
 
-import time
-from dataclasses import dataclass, replace
+Most is read off the scene. What is not, rays per point for a noise and gather texels for an error, is measured on a part of the
+bake where that is asked for (`data_gen.pilot`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil, log
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Literal, NamedTuple, get_args
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from data_gen.atlas import check_mips, padding
-from data_gen.effects.subsurface import media, predicted_events, predicted_walks
+from data_gen.cost import predict
+from data_gen.decisions import FULL_TAIL, Cost, Decision, Plan, forced
+from data_gen.effects.subsurface import media, predicted_events
 from data_gen.hull import check_hull
+from data_gen.journal import data_folder
+from data_gen.pilot import MOST_RAYS, Pilot, unattainable
 from data_gen.sampling import check_measurements
-from data_gen.scenarios import check_scenario
+from data_gen.scenarios import check_scenario, sample_lightings
 from data_gen.tracer import Tracer
-from prt_bench.emitters import Emitters
 from prt_bench.errors import SpecError
-from prt_bench.lights import AREA_SAMPLES, ENVIRONMENT_SAMPLES
 from prt_bench.scene import Scene
-from prt_bench.transport import GatherOperator
 
 MOST_BOUNCES = 256
 MeasureOn = Literal["surface", "hull"]
+Auto = Literal["auto"]
+HELD_OUT_LEAST = 16
+"""Lightings held out for a bake's test at least."""
 _GATHER_TEXELS = 256
-_LIGHT_SAMPLES = {"area": AREA_SAMPLES, "environment": ENVIRONMENT_SAMPLES}
-_NODE_SHARE = 0.2  # share of receivers that become nodes, for predictions
-_COVERAGE = 0.75  # share of lightmap texels that charts cover, for predictions
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One choice of the planner, and why."""
-
-    what: str
-    decision: str
-    why: str
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Predicted cost of a bake: rays of each kind, bytes on disk, peak bytes in memory, seconds."""
-
-    gather_rays: int
-    shadow_rays: int
-    disk_bytes: int
-    memory_bytes: int
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The settings of a bake and what the scene needs.
-
-    `texels` and `gather_texels` are the sides of the receivers' and the gather samples' lightmaps, `rays` is per point,
-    `bounces` an upper bound that the traced operator lowers, `channels` 1 for achromatic scenes, `convex` "outside" (a lone
-    convex body), "inside" (a convex room) or None.
-    """
-
-    texels: int
-    gather_texels: int
-    rays: int
-    bounces: int
-    tolerance: float
-    channels: int
-    convex: str | None
-    effects: tuple[str, ...]
-    vertices: bool
-    decisions: tuple[Decision, ...]
-    cost: Cost
-    node_rays: int = 0
-    node_tolerance: float = 0.0
-    mips: int = 0
-    texture_set: bool = False
-
-    def needs_shadow_rays(self, scene: Scene, emitters: Emitters) -> bool:
-        """False only where nothing can stand between these emitters and a surface they face."""
-        if self.convex == "outside":
-            return False
-        if self.convex == "inside":
-            place = np.asarray(emitters.position).reshape(-1, 4)
-            place = place[np.asarray(emitters.intensity).reshape(-1, 3).max(axis=1) > 0]
-            return bool(np.any(place[:, 3] == 0)) or not _in_front_of_all(scene, place[:, :3])
-        return True
-
-    def table(self) -> str:
-        """The decisions and the predicted cost as aligned text."""
-        rows = [(d.what, d.decision, d.why) for d in self.decisions]
-        cost = self.cost
-        rows.append(
-            (
-                "predicted cost",
-                f"{cost.seconds:.1f} s",
-                f"{cost.gather_rays / 1e6:.1f} M gather rays, {cost.shadow_rays / 1e6:.1f} M shadow rays at most, "
-                f"{cost.disk_bytes / 1e6:.0f} MB on disk, {cost.memory_bytes / 1e6:.0f} MB in memory",
-            )
-        )
-        first, second = (max(len(row[i]) for row in rows) for i in (0, 1))
-        return "\n".join(f"{a:<{first}}  {b:<{second}}  {c}" for a, b, c in rows)
-
-    def to_json(self) -> list[dict[str, str]]:
-        """The decisions as rows for records and reports."""
-        return [vars(decision).copy() for decision in self.decisions]
 
 
 def plan(
@@ -110,11 +38,11 @@ def plan(
     scenario: str = "spot",
     lightings: int = 128,
     texels: int = 128,
-    rays: int = 256,
+    rays: int | Auto = 256,
     measurements: int = 256,
     supersampling: int = 8,
     tolerance: float = 1e-4,
-    gather_texels: int | None = None,
+    gather_texels: int | Auto | None = None,
     ood: tuple[str, ...] = (),
     workers: int | None = None,
     streamed: int = 0,
@@ -124,18 +52,24 @@ def plan(
     node_tolerance: float = 0.02,
     mips: int = 0,
     texture_set: bool = False,
+    noise: float = 0.02,
+    gather_tolerance: float = 0.05,
+    force: Sequence[str] = (),
+    seed: int = 0,
+    out: str | Path | None = None,
 ) -> Plan:
     """Decide what baking `scene` needs.
 
     `tolerance` bounds the light that truncating the bounces leaves out, relative to the brightest direct light; `node_rays`,
-    `node_tolerance`, `mips` and `texture_set` are those of `bake`. Raises
+    `node_tolerance`, `mips`, `texture_set`, `noise`, `gather_tolerance` and `force` are those of `bake`. With `rays` or
+    `gather_texels` "auto" a part of the bake of `seed` is traced, in seconds; `out` keeps the charts, as for `bake`. Raises
     `SpecError` for settings that cannot be baked and `SceneError` for more measurement points than the surface can hold,
     or for a hull where there is no body.
     """
     for name, value, least in (("lightings", lightings, 1), ("texels", texels, 8), ("gather_texels", gather_texels, 8),
                                ("measurements", measurements, 1), ("supersampling", supersampling, 1),
                                ("workers", workers, 1), ("streamed", streamed, 0)):  # fmt: skip
-        if value is not None and value < least:
+        if value is not None and _number(name, value) < least:
             raise SpecError(f"{name} is {value}, but a bake needs at least {least}")
     for name in (scenario, *ood):
         check_scenario(name)
@@ -145,26 +79,39 @@ def plan(
     if measure_on == "hull":
         check_hull(scene)
     for name, value, least in (("rays", rays, 2), ("node_rays", node_rays, 0)):
-        if value < least or value % 2:
+        if _number(name, value) < least or _number(name, value) % 2:
             raise SpecError(
                 f"{name} is {value}, but it must be an even number from {least} up: the two halves measure the noise"
             )
-    for name, value in (("tolerance", tolerance), ("node_tolerance", node_tolerance)):
+    for name, value in (("tolerance", tolerance), ("node_tolerance", node_tolerance), ("noise", noise),
+                        ("gather_tolerance", gather_tolerance)):  # fmt: skip
         if not 0 < value < 1:
             raise SpecError(f"{name} is {value}, but it must lie between 0 and 1")
 
     check_mips(texels, mips)
 
-    convex = _convexity(scene)
-    channels = 1 if scene.achromatic else 3
-    gather = min(texels, gather_texels or _GATHER_TEXELS)
+    force = forced(force)
+    convex, bodies = _convexity(scene), media(scene)
+    channels = 3 if "channels" in force or not scene.achromatic else 1
+    every = "bounces" in force
+    bounces, bounce_reason = _bounces(
+        scene.largest_albedo, FULL_TAIL if every else tolerance, None if every else convex
+    )
+    draft = Plan(
+        texels, texels, 2, bounces, tolerance, channels, convex, ("subsurface",) if bodies else (), vertices,
+        (), Cost(0, 0, 0, 0, 0.0),
+        node_rays, node_tolerance, mips, texture_set, force, noise if rays == "auto" else 0.0,
+    )  # fmt: skip
+    held_out = max(HELD_OUT_LEAST, ceil(lightings / 4))
+    pilot = _Measured(scene, scenario, held_out, seed, Path(out) if out is not None else data_folder(), workers)
+    gather, gather_reason = pilot.gather_texels(draft, gather_texels, gather_tolerance)
     if node_rays and gather == texels:
         raise SpecError(
             f"node_rays is {node_rays}, but at {texels}² texels the receivers are the gather samples, which are all traced;"
             " leave it out, or ask for fewer gather_texels"
         )
-    bounces, bounce_reason = _bounces(scene.largest_albedo, tolerance, convex)
-    bodies = media(scene)
+    draft = replace(draft, gather_texels=gather, gather_tolerance=gather_tolerance if gather < texels else 0.0)
+    rays, ray_reason = pilot.rays(draft, rays, noise)
     decisions = (
         Decision("effects", "diffuse, subsurface", f"{_names(scene, bodies)} filled with a medium")
         if bodies
@@ -173,7 +120,9 @@ def plan(
             "diffuse",
             "lobes towards the eye take no part in it" if scene.glossy else "no material asks for more",
         ),
-        Decision("channels", str(channels), "every albedo is grey" if channels == 1 else "albedo differs by channel"),
+        Decision(
+            "channels", str(channels), "every albedo is grey" if scene.achromatic else "albedo differs by channel"
+        ),
         Decision("bounces", f"≤ {bounces}", bounce_reason),
         Decision(
             "shadow rays",
@@ -187,14 +136,8 @@ def plan(
         Decision("view dependence", "in the runtime", "materials have glossy lobes, which sh-triple shows")
         if scene.glossy
         else Decision("view dependence", "none", "every material is diffuse"),
-        Decision(
-            "gather samples",
-            f"{gather}² texels",
-            "the receivers themselves"
-            if gather == texels
-            else "bounced light is smooth: a coarser lightmap carries it",
-        ),
-        Decision("rays per point", str(rays), "as asked; the noise is measured from their two halves"),
+        Decision("gather samples", f"{gather}² texels", gather_reason),
+        Decision("rays per point", str(rays), ray_reason),
         Decision(
             "receivers",
             f"{node_rays} rays, at nodes",
@@ -215,14 +158,80 @@ def plan(
         decisions += (Decision("mip levels", str(mips), f"as asked: charts lie {padding(mips)} texels apart"),)
     if texture_set:
         decisions += (Decision("lightmap", "a texture set", "as asked: every material has a square of its own"),)
-    draft = Plan(
-        texels, gather, rays, bounces, tolerance, channels, convex, ("subsurface",) if bodies else (), vertices,
-        decisions, Cost(0, 0, 0, 0, 0.0),
-        node_rays, node_tolerance, mips, texture_set,
-    )  # fmt: skip
-    count = lightings + max(16, ceil(lightings / 4)) + 16 * len(ood)
+    draft = _overruled(replace(draft, rays=rays, decisions=decisions), scene)
+    count = lightings + held_out + HELD_OUT_LEAST * len(ood)
     dense = measurements * supersampling
-    return replace(draft, cost=_predict(draft, scene, scenario, count, dense, workers, streamed))
+    return replace(draft, cost=predict(draft, scene, scenario, count, dense, workers, streamed))
+
+
+def with_more_rays(settings: Plan, scene: Scene, left: float) -> Plan:
+    """Twice the rays, where the bake had more noise `left` than it was asked for. Raises `SpecError` at `MOST_RAYS`."""
+    if 2 * settings.rays > MOST_RAYS:
+        raise unattainable(scene, settings.noise, settings.rays, left)
+    why = f"{settings.rays} left {left:.1%} between their halves; asked for {settings.noise:.1%}"
+    rays = 2 * settings.rays
+    cost = replace(settings.cost, gather_rays=2 * settings.cost.gather_rays, seconds=2 * settings.cost.seconds)
+    return replace(settings, rays=rays, cost=cost).decided("rays per point", str(rays), why)
+
+
+class _Measured(NamedTuple):
+    """Settings that may be "auto", and why they are what they are."""
+
+    scene: Scene
+    scenario: str
+    held_out: int
+    seed: int
+    folder: Path
+    workers: int | None
+
+    def rays(self, draft: Plan, asked: int | Auto, noise: float) -> tuple[int, str]:
+        """Rays per point of the bake that `draft` describes."""
+        if asked != "auto":
+            return asked, "as asked; the noise is measured from their two halves"
+        if draft.node_rays:
+            raise SpecError(
+                'rays is "auto", but receivers have the rays of node_rays; give rays a number, or drop node_rays'
+            )
+        count, found = self._pilot(draft).rays(noise)
+        fewer = f", {found[-2][0]} by {found[-2][1]:.1%}" if len(found) > 1 else ""
+        return count, f"their halves differ by {found[-1][1]:.1%} on some receivers{fewer}; asked for {noise:.1%}"
+
+    def gather_texels(self, draft: Plan, asked: int | Auto | None, tolerance: float) -> tuple[int, str]:
+        """Side of the gather lightmap."""
+        themselves = "the receivers themselves"
+        if "gather samples" in draft.force:
+            return draft.texels, f"forced: {themselves}"
+        if asked != "auto":
+            side = min(draft.texels, asked or _GATHER_TEXELS)
+            carried = "bounced light is smooth: a coarser lightmap carries it"
+            return side, themselves if side == draft.texels else carried
+        if draft.effects:
+            return draft.texels, f"{themselves}: light also enters media, whose smoothness is not measured"
+        side, error = self._pilot(draft).gather_texels(tolerance)
+        if side == draft.texels:
+            return side, f"{themselves}: every coarser lightmap misses more than {tolerance:.1%} of light bounced once"
+        return side, f"light bounced once is off by {error:.1%} on some receivers; asked for {tolerance:.1%}"
+
+    def _pilot(self, draft: Plan) -> Pilot:
+        tracer = Tracer(self.scene, self.workers)
+        lightings = sample_lightings(self.scene, self.scenario, self.held_out, [self.seed, 1], tracer)
+        return Pilot(self.scene, draft, lightings, self.seed, self.folder, tracer)
+
+
+def _overruled(draft: Plan, scene: Scene) -> Plan:
+    """The plan with what was forced and would have been left out."""
+    if "subsurface" in draft.force and not draft.effects:
+        why = "forced: no material asks for it"
+        walks = Decision("subsurface", "walks from 0 points", why)
+        draft = replace(draft, effects=("subsurface",), decisions=(*draft.decisions, walks))
+        draft = draft.decided("effects", "diffuse, subsurface", why)
+    if "channels" in draft.force and scene.achromatic:
+        draft = draft.decided("channels", "3", "forced: every albedo is grey")
+    if "bounces" in draft.force:
+        draft = draft.decided("bounces", f"≤ {draft.bounces}", "forced: all that float32 can tell apart")
+    if "shadow rays" in draft.force and draft.convex:
+        draft = draft.decided("shadow rays", "yes", "forced: nothing can stand between points of a convex scene")
+    return draft
 
 
 def _names(scene: Scene, indices: list[int]) -> str:
@@ -262,62 +271,10 @@ def _convexity(scene: Scene) -> str | None:
     return "outside" if behind else "inside"
 
 
-def _in_front_of_all(scene: Scene, points: Float[np.ndarray, "P 3"]) -> bool:
-    normals, corners = scene.mesh.normals, scene.mesh.triangles[:, 0]
-    return bool(np.all(points @ normals.T >= np.sum(normals * corners, axis=1)))
-
-
-def _predict(
-    draft: Plan, scene: Scene, scenario: str, lightings: int, dense: int, workers: int | None, streamed: int
-) -> Cost:
-    """Cost from counts and from rates measured here and now on this scene."""
-    receivers = int(_COVERAGE * draft.texels**2)
-    samples = int(_COVERAGE * draft.gather_texels**2)
-    shared = draft.gather_texels == draft.texels
-    traced = receivers if shared else receivers + samples
-    lit = receivers + dense + (0 if shared else samples)
-    columns = lightings * draft.channels
-    if draft.node_rays:
-        traced -= receivers
-    gather_rays = (traced + draft.vertices * len(scene.mesh.vertices)) * draft.rays
-    gather_rays += int(_NODE_SHARE * receivers) * draft.node_rays
-    lit_points = lit * lightings + (samples + dense) * streamed
-    shadow_rays = 0 if draft.convex == "outside" else lit_points * _LIGHT_SAMPLES.get(scenario, 1)
-    ray_rate, sum_rate = _rates(scene, workers)
-    gathered = _NODE_SHARE * receivers * draft.node_rays if draft.node_rays else receivers * draft.rays
-    sums = (samples * min(draft.bounces, 16) * draft.rays + gathered) * columns
-    seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + sums / sum_rate
-    pairs = 4 * receivers * columns
-    disk = 2 * pairs + pairs // 4 + gather_rays * 2 + 4 * samples * streamed
-    if scene.translucent:
-        starts = (receivers + (0 if shared else samples) + draft.vertices * len(scene.mesh.vertices)) * draft.rays
-        walks, queries = predicted_walks(scene, draft.channels)
-        gather_rays += int(starts * queries)
-        disk += int(2 * starts * walks)
-        seconds += starts * queries / ray_rate
-    memory = int(6e8) + 12 * samples * columns * 4 + 6 * min(receivers, 1 << 14) * columns * 4
-    return Cost(gather_rays, shadow_rays, disk, memory, seconds)
-
-
-def _rates(scene: Scene, workers: int | None) -> tuple[float, float]:
-    """Rays per second on this scene and gathered values per second, each timed on a small batch."""
-    rng = np.random.default_rng(0)
-    tracer = Tracer(scene, workers)
-    origins = rng.uniform(scene.bounds[0], scene.bounds[1], (1 << 17, 3)).astype(np.float32)
-    directions = rng.normal(size=origins.shape).astype(np.float32)
-    tracer.intersect(origins[:1024], directions[:1024])
-    started = time.perf_counter()
-    tracer.intersect(origins, directions)
-    ray_rate = len(origins) / (time.perf_counter() - started)
-
-    gather = GatherOperator.from_hits(rng.integers(0, 4096, (1024, 64)), 4096)
-    light = jnp.ones((4096, 256), jnp.float32)
-    _gathered(gather, light).block_until_ready()
-    started = time.perf_counter()
-    _gathered(gather, light).block_until_ready()
-    return ray_rate, 1024 * 64 * 256 / (time.perf_counter() - started)
-
-
-@jax.jit
-def _gathered(gather: GatherOperator, light: Array) -> Array:
-    return gather(light)
+def _number(name: str, value: int | str) -> int:
+    """The value of a setting, or one that passes every check where it is to be measured. Raises `SpecError` for words."""
+    if value == "auto" and name in ("rays", "gather_texels"):
+        return 1 << 10
+    if isinstance(value, str):
+        raise SpecError(f"{name} is '{value}', but must be a number" + (" or 'auto'" if name == "rays" else ""))
+    return value

@@ -13,9 +13,9 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
+from data_gen.decisions import Plan
 from data_gen.direct import direct_irradiance
 from data_gen.journal import Journal, create_array
-from data_gen.plan import Plan
 from data_gen.tracer import Tracer
 from prt_bench.dataset import Transport
 from prt_bench.emitters import Emitters

@@ -4,14 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import zarr
+from jaxtyping import Float
 
 from data_gen.atlas import lightmap_points, unwrap
+from data_gen.decisions import Plan
 from data_gen.effects.subsurface import VERSION as WALKS_VERSION
 from data_gen.effects.subsurface import WalkTracer, write_walks
 from data_gen.gather import buried, trace_hits
 from data_gen.journal import content_key, create_array, resumable
 from data_gen.nodes import Interpolation, Looker, interpolate
-from data_gen.plan import Plan
 from data_gen.resolve import HitResolver
 from data_gen.tracer import Tracer
 from data_gen.vertices import shading_vertices
@@ -43,11 +44,12 @@ def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | N
             "rays": settings.rays,
             "tolerance": settings.tolerance,
             "effects": settings.effects,
-            **({"walks": WALKS_VERSION} if scene.translucent else {}),
+            **({"walks": WALKS_VERSION} if "subsurface" in settings.effects else {}),
             **({"vertices": True} if settings.vertices else {}),
             **({"nodes": [settings.node_rays, settings.node_tolerance]} if settings.node_rays else {}),
             **({"mips": settings.mips} if settings.mips else {}),
             **({"texture_set": True} if settings.texture_set else {}),
+            **({"bounces": "all"} if "bounces" in settings.force else {}),
             "seed": seed,
         }
     )
@@ -98,11 +100,12 @@ def trace(
             found = interpolate(lightmap, receivers, hidden, settings.node_tolerance, look)
             _write_nodes(group, found, receivers, directions)
             journal.add(len(chunks))
-        if scene.translucent:
+        if "subsurface" in settings.effects:
             kinds = {"receivers": receivers, "samples": None if shared else samples, "vertices": vertices}
             from_points = {name: points for name, points in kinds.items() if points is not None}
             walker = WalkTracer(scene, gather_map, samples, sampler, tracer.workers)
             write_walks(group, journal, len(chunks) + 1, walker, from_points)
+            tracer.nearest += sum(body.tracer.nearest for body in walker.bodies.values())
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)
         write_points(group, "receivers", receivers)
@@ -123,7 +126,7 @@ def trace(
                 "key": key,
                 "sample_hits": sample_hits,
                 "seed": seed,
-                "bounces": _needed_bounces(gather, samples, settings, scene.name, scattering),
+                "bounces": needed_bounces(gather, samples.albedo, settings, scene.name, scattering),
             }
         )
     return Transport.open(path)
@@ -150,13 +153,16 @@ def _write_nodes(group: zarr.Group, found: Interpolation, receivers: SurfacePoin
         write_array(child, name, array)
 
 
-def _needed_bounces(
-    gather: GatherOperator, samples: SurfacePoints, settings: Plan, name: str, scattering: Scattering | None
+def needed_bounces(
+    gather: GatherOperator, albedo: Float[np.ndarray, "S C"], settings: Plan, name: str, scattering: Scattering | None
 ) -> int:
-    """The planner's bound, lowered to what the traced operator needs for the same tolerance."""
-    bounds = tail_bounds(gather, samples.albedo.astype(np.float32), settings.bounces, scattering)
-    enough = np.flatnonzero(bounds <= settings.tolerance)
-    if not enough.size and settings.bounces < 2:
+    """The planner's bound, lowered to what the traced operator needs for the same tolerance.
+
+    Where all bounces are forced, the float32 sums may never fall that low: then as many as the planner allows.
+    """
+    bounds = tail_bounds(gather, albedo.astype(np.float32), settings.bounces, scattering)
+    enough = np.flatnonzero(bounds <= settings.tail)
+    if not enough.size and (settings.bounces < 2 or bounds[-1] <= settings.tolerance):
         return settings.bounces
     if not enough.size:
         raise SpecError(

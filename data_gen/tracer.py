@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -37,12 +38,17 @@ class Hits:
 
 
 class Tracer:
-    """Ray queries on one scene. Deterministic: the answer does not depend on the number of workers."""
+    """Ray queries on one scene. Deterministic: the answer does not depend on the number of workers.
+
+    `nearest` and `shadow` count the rays cast so far, those that look for the nearest hit and those that look for any.
+    """
 
     def __init__(self, scene: Scene, workers: int | None = None) -> None:
         self.workers = workers or os.cpu_count() or 1
         self.offset = _OFFSET * max(float(np.abs(scene.bounds).max()), scene.extent)
         self.reach = 4.0 * scene.extent
+        self.nearest = self.shadow = 0
+        self._counting = Lock()
         self._embree = EmbreeScene()
         self._mesh = TriangleMesh(self._embree, np.ascontiguousarray(scene.mesh.triangles, np.float32))
 
@@ -65,6 +71,8 @@ class Tracer:
         """Whether anything lies between each origin and origin + segment, with no offset applied; on the calling thread."""
         origins, segments = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(segments, np.float32)
         hidden = np.empty(len(origins), bool)
+        with self._counting:
+            self.shadow += len(origins)
         for at in range(0, len(origins), RAYS_PER_CALL):
             part = slice(at, at + RAYS_PER_CALL)
             reach = np.ones(len(origins[part]), np.float32)
@@ -96,6 +104,8 @@ class Tracer:
 
         `reach` is how far each ray looks, in lengths of its direction; near ends make short work of the rest.
         """
+        with self._counting:
+            self.nearest += len(origins)
         return self._embree.run(origins, directions, reach, output=True)
 
     def _hits(self, origins: np.ndarray, directions: np.ndarray) -> Hits:

@@ -32,8 +32,9 @@ import numpy as np
 
 import prt_bench as prt
 from data_gen.atlas import lightmap_points, unwrap
+from data_gen.decisions import Plan
 from data_gen.gather import buried, trace_hits
-from data_gen.plan import Plan, plan
+from data_gen.plan import plan
 from data_gen.resolve import HitResolver
 from data_gen.trace import trace
 from data_gen.tracer import Tracer

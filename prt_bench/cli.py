@@ -63,6 +63,8 @@ def _plan(args: argparse.Namespace) -> None:
 
 
 def _bake(args: argparse.Namespace) -> None:
+    from data_gen.cost import comparison
+
     ds = prt.bake(
         prt.load_scene(args.scene),
         args.scenario,
@@ -71,9 +73,10 @@ def _bake(args: argparse.Namespace) -> None:
         workers=args.workers,
         **_bake_settings(args),
     )
-    spent, predicted = ds.metadata["seconds"], ds.metadata["predicted"]
     print(f"{ds.path}\nhash {ds.hash}\nnoise floor {ds.split('test').noise_floor:.2%} (test)")
-    print(f"{sum(spent.values()):.1f} s ({predicted['seconds']:.1f} s predicted), {ds.metadata['bounces']} bounces")
+    print(f"{sum(ds.metadata['seconds'].values()):.1f} s, {ds.metadata['rays']} rays, {ds.metadata['bounces']} bounces")
+    if "actual" in ds.metadata:  # datasets of older versions have none
+        print(comparison(ds.metadata["predicted"], ds.metadata["actual"]))
 
 
 def _fit(args: argparse.Namespace) -> None:
@@ -204,8 +207,13 @@ def _doctor(_: argparse.Namespace) -> None:
 
 def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
     names = ("lightings", "texels", "rays", "measurements", "supersampling", "tolerance", "gather_texels",
-             "streamed", "measure_on", "vertices", "node_rays", "node_tolerance", "mips", "texture_set")  # fmt: skip
-    return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood)}
+             "streamed", "measure_on", "vertices", "node_rays", "node_tolerance", "mips", "texture_set", "noise",
+             "gather_tolerance")  # fmt: skip
+    return {**{name: getattr(args, name) for name in names}, "ood": tuple(args.ood), "force": tuple(args.force)}
+
+
+def _count_or_auto(text: str) -> int | str:
+    return text if text == "auto" else int(text)
 
 
 def _settings(pairs: Sequence[str]) -> dict[str, Any]:
@@ -310,13 +318,18 @@ def _bake_options(made: argparse.ArgumentParser) -> None:
     for name, default in (
         ("lightings", 128),
         ("texels", 128),
-        ("rays", 256),
         ("measurements", 256),
         ("supersampling", 8),
     ):
         made.add_argument(f"--{name}", type=int, default=default)
     made.add_argument("--tolerance", type=float, default=1e-4)
-    made.add_argument("--gather-texels", type=int)
+    made.add_argument("--rays", type=_count_or_auto, default=256, help="per point, or auto: as many as --noise needs")
+    made.add_argument("--noise", type=float, default=0.02, help="split-half noise that --rays auto may leave")
+    made.add_argument("--gather-texels", type=_count_or_auto, help="side, or auto: as few as --gather-tolerance allows")
+    made.add_argument("--gather-tolerance", type=float, default=0.05, help="error of light bounced once that may be")
+    made.add_argument(
+        "--force", action="append", default=[], metavar="WHAT", help="simulate in full what is left out, or all"
+    )
     made.add_argument("--streamed", type=int, default=0, help="further lightings kept as direct light alone")
     made.add_argument("--node-rays", type=int, default=0, help="trace receivers at nodes only, with so many rays each")
     made.add_argument("--node-tolerance", type=float, default=0.02, help="what interpolation between nodes may miss")

@@ -25,11 +25,11 @@ class BakeSpec:
     ood: tuple[str, ...] = ()
     lightings: int = 128
     texels: int = 128
-    rays: int = 256
+    rays: int | str = 256
     measurements: int = 256
     supersampling: int = 8
     tolerance: float = 1e-4
-    gather_texels: int | None = None
+    gather_texels: int | str | None = None
     streamed: int = 0
     measure_on: str = "surface"
     vertices: bool = False
@@ -37,6 +37,9 @@ class BakeSpec:
     node_tolerance: float = 0.02
     mips: int = 0
     texture_set: bool = False
+    noise: float = 0.02
+    gather_tolerance: float = 0.05
+    force: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class MethodSpec:
 class RunSpec:
     """A benchmark run. `timeout` bounds the seconds one fit may take; a fit over it becomes a row that says so.
 
-    The clock is looked at between calls into compiled code, which are let finish.
+    The clock is looked at between calls into compiled code, which are let finish. `skips` is the number of lightings on which
+    the report shows what the planner left out, against the full simulation; 0 leaves that out.
     """
 
     name: str
@@ -76,12 +80,15 @@ class RunSpec:
     methods: tuple[MethodSpec, ...]
     seed: int = 0
     timeout: float = 600.0
+    skips: int = 0
     bake: BakeSpec = field(default_factory=BakeSpec)
     time: TimeSpec = field(default_factory=TimeSpec)
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise SpecError(f"seed is {self.seed}, but must not be negative")
+        if self.skips < 0:
+            raise SpecError(f"skips is {self.skips} lightings, but must not be negative")
         if not self.timeout > 0:
             raise SpecError(f"timeout is {self.timeout:g} s, but must be above zero")
 

@@ -152,7 +152,8 @@ def write_walks(
         store[f"{name}/ends"][part] = ends  # pyright: ignore[reportIndexIssue]
         journal.add(number, fates=fates.tolist())
     found = np.array([journal.done[first + i]["fates"] for i in range(len(chunks))], np.int64)
-    from_receivers = np.array([name == "receivers" for name, _, _ in chunks])
+    found = found.reshape(len(chunks), len(tracer.bodies), tracer.media, len(Fate))
+    from_receivers = np.array([name == "receivers" for name, _, _ in chunks], bool)
     write_array(store, "colour", _colours(tracer, tables["receivers"], found[from_receivers].sum(axis=0)))
     store.attrs["fates"] = json.dumps(
         {
@@ -160,7 +161,7 @@ def write_walks(
             for material, counts in zip(tracer.bodies, found.sum(axis=0), strict=True)
         }
     )
-    left = found[..., [Fate.ALIVE, Fate.LOST]].sum() / found.sum()
+    left = found[..., [Fate.ALIVE, Fate.LOST]].sum() / max(found.sum(), 1)
     if left > 0:
         say(f"walks in {scene.name}: {left:.1e} of them neither left nor were absorbed after {LONGEST} events")
 
