@@ -41,6 +41,7 @@ _ON_FIRST_USE = {
     "bake_animation": "data_gen.animation",
     "keyframe_times": "data_gen.animation",
     "seen": "data_gen.direct",
+    "skips": "data_gen.skips",
 }
 
 __all__ = [
@@ -70,6 +71,7 @@ __all__ = [
     "plan",
     "scenes",
     "seen",
+    "skips",
 ]
 
 

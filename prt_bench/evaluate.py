@@ -160,6 +160,10 @@ def _about(ds: LightingDataset) -> dict[str, Any]:
         "lightings",
         "channels",
         "effects",
+        "noise",
+        "force",
         "plan",
+        "predicted",
+        "actual",
     )
     return {key: ds.metadata[key] for key in keys if key in ds.metadata}

@@ -98,7 +98,9 @@ class Record:
     bytes: dict[str, int] = field(default_factory=dict)  # "asset", "basis", "transfer", "runtime"
     timings: tuple[Timing, ...] = ()
     curves: dict[str, list[float]] = field(default_factory=dict)  # "singular_values"; "training_…"
-    dataset: dict[str, Any] = field(default_factory=dict)  # hash, texels, lightings, rays, measurements, plan, effects
+    dataset: dict[str, Any] = field(
+        default_factory=dict
+    )  # hash, texels, rays, plan, effects, predicted, actual, skips, …
     asset: dict[str, Any] = field(default_factory=dict)  # sha256, dtype
     pictures: dict[str, str] = field(default_factory=dict)  # name -> path relative to the run folder
     provenance: dict[str, Any] = field(default_factory=dict)

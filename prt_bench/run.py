@@ -21,6 +21,7 @@ import jax
 from data_gen.bake import bake
 from data_gen.plan import plan
 from data_gen.scenes import load_scene
+from data_gen.skips import skips
 from prt_bench import records
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
@@ -66,8 +67,9 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
     _require_distinct("methods", [_label(*row) for row in methods], "rows need different settings")
     folder = out or Path("runs") / spec.name
     settings = {key: value for key, value in asdict(spec.bake).items() if key != "scenarios"}
+    given = {key: value for key, value in settings.items() if value != "auto"}  # the rest is measured when it is baked
     for scene, scenario in itertools.product(scenes, spec.bake.scenarios):
-        plan(scene, scenario, **settings)  # refuses what cannot be baked, before anything is written
+        plan(scene, scenario, **given)  # refuses what cannot be baked, before anything is written
     _claim(folder, spec)
     done = {(r.scene, r.scenario) for r in records.read(folder / "records.jsonl")} if _has_records(folder) else set()
     for scene in scenes:
@@ -78,6 +80,9 @@ def run(spec_path: Path, out: Path | None = None) -> Path:
             ds = bake(scene, scenario, seed=spec.seed, out=folder / "data", **settings)
             rows = [_fit(ds, row, chosen, spec, folder) for row, chosen in track(methods, f"fit {scene.name}")]
             measured = list(_measure(ds, rows, spec, folder))
+            if spec.skips:
+                left_out = [asdict(skip) for skip in skips(ds, spec.skips)]
+                measured = [replace(record, dataset={**record.dataset, "skips": left_out}) for record in measured]
             records.append(folder / "records.jsonl", *measured)
     write_leaderboard(folder)
     write_report(folder)

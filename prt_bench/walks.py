@@ -76,3 +76,10 @@ def read_walks(group: Any) -> Walks | None:
     fates = json.loads(str(group["walks"].attrs["fates"]))
     colour = np.asarray(member(group, "walks/colour")[...])
     return Walks(tables["receivers"], samples, tables["vertices"], colour, fates)
+
+
+def no_walks(rays: int, materials: int) -> Walks:
+    """The walks of a scene without translucent bodies, where they are simulated all the same: tables of no rows."""
+    nowhere = np.zeros(0, np.int32)
+    table = WalkTable(nowhere, nowhere, np.zeros((0, 1, rays), np.int32))
+    return Walks(table, table, table, np.ones((materials, 3), np.float32), {})

@@ -66,6 +66,7 @@ def test_a_run_without_opengl_has_jax_timings_and_says_so(
     spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
+    spec.write_text(f"skips = 2\n{SPEC}", encoding="utf-8")
     rows = run_without_gl(spec, out, monkeypatch)
     assert {(row.split, row.label) for row in rows} == {
         (split, label) for split in ("test", "ood-spot") for label in ("svd-ridge b2", "svd-ridge b3", "reference")
@@ -84,6 +85,12 @@ def test_a_run_without_opengl_has_jax_timings_and_says_so(
                 row.errors.projection**2 + row.errors.coefficient**2, rel=1e-4
             )
 
+    for row in rows:
+        left_out = {skip["name"]: skip for skip in row.dataset["skips"]}
+        assert set(left_out) == {"subsurface", "bounces"}
+        assert all(skip["error"] <= skip["tolerance"] for skip in left_out.values())
+        assert row.dataset["actual"].keys() > row.dataset["predicted"].keys()
+    assert "What was left out" in (out / "report.html").read_text(encoding="utf-8")
     before = (out / "records.jsonl").read_bytes()
     assert main(["run", str(spec), "--out", str(out)]) == 0
     assert (out / "records.jsonl").read_bytes() == before  # nothing is measured twice

@@ -24,6 +24,7 @@ from prt_bench.records import Record
 from prt_bench.report.embed import LEVELS, Pair, embed
 from prt_bench.report.frontier import COST_AXES, ERROR_AXES, METRICS, Row, frontier
 from prt_bench.report.leaderboard import COLUMNS, figure, status, write_text
+from prt_bench.report.planner import planned
 from prt_bench.report.ranking import TIE_RULE, Group, groups
 from prt_bench.report.stability import read_scoreboard
 
@@ -203,22 +204,17 @@ def _inside(run_dir: Path, path: str) -> Path:
 
 
 def _plans(run_dir: Path, board: Iterable[Group]) -> list[dict[str, Any]]:
-    """Per scene and scenario: what the planner decided, and the dataset's settings and hashes."""
-    found: dict[tuple[str, str], dict[str, Any]] = {}
-    for group in board:
-        for entry in group.entries:
-            record = entry.row.record
-            plan = found.setdefault(
-                (group.scene, group.scenario),
-                {"scene": group.scene, "scenario": group.scenario, "steps": [], "settings": {}, "points": None},
-            )
-            plan["steps"] = plan["steps"] or record.dataset.get("plan") or []
-            plan["settings"] |= {
-                name: value for name, value in record.dataset.items()
-                if name not in ("plan", "effects") and isinstance(value, str | int | float)
-            }  # fmt: skip
-            if plan["points"] is None and (path := record.pictures.get("measurement_points")):
-                plan["points"] = _data_url(_inside(run_dir, path))
+    """Per scene and scenario: what the planner decided, left out and predicted, and the dataset's settings and hashes."""
+    records = [entry.row.record for group in board for entry in group.entries]
+    found = {(plan["scene"], plan["scenario"]): {**plan, "settings": {}, "points": None} for plan in planned(records)}
+    for record in records:
+        plan = found[record.scene, record.scenario]
+        plan["settings"] |= {
+            name: value for name, value in record.dataset.items()
+            if name not in ("plan", "effects") and isinstance(value, str | int | float)
+        }  # fmt: skip
+        if plan["points"] is None and (path := record.pictures.get("measurement_points")):
+            plan["points"] = _data_url(_inside(run_dir, path))
     return list(found.values())
 
 

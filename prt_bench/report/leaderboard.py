@@ -108,11 +108,12 @@ def columns(*names: str) -> tuple[Column, ...]:
 def flatten(record: Record) -> dict[str, Any]:
     """Every figure and setting of a record as `a.b.c` → scalar; timings as `gl.frame.median`, lists as JSON.
 
-    Curves and pictures stay in `records.jsonl`, and so does the planner's list of decisions.
+    Curves and pictures stay in `records.jsonl`, and so do the planner's decisions and what they left out.
     """
     data = asdict(record)
     del data["curves"], data["pictures"]
-    data["dataset"].pop("plan", None)
+    for name in ("plan", "skips"):
+        data["dataset"].pop(name, None)
     for timing in data.pop("timings"):
         data.setdefault(timing["api"], {**timing, **timing["stages"], "stages": {}})
     return dict(_leaves(data, ""))
