@@ -273,8 +273,9 @@ def _convexity(scene: Scene) -> str | None:
 
 def _number(name: str, value: int | str) -> int:
     """The value of a setting, or one that passes every check where it is to be measured. Raises `SpecError` for words."""
-    if value == "auto" and name in ("rays", "gather_texels"):
+    automatic = name in ("rays", "gather_texels")
+    if value == "auto" and automatic:
         return 1 << 10
     if isinstance(value, str):
-        raise SpecError(f"{name} is '{value}', but must be a number" + (" or 'auto'" if name == "rays" else ""))
+        raise SpecError(f"{name} is '{value}', but must be a number" + " or 'auto'" * automatic)
     return value

@@ -213,7 +213,8 @@ def _bake_settings(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _count_or_auto(text: str) -> int | str:
-    return text if text == "auto" else int(text)
+    """A number where it is one; what other words mean is the planner's to say."""
+    return int(text) if text.removeprefix("-").isdecimal() else text
 
 
 def _settings(pairs: Sequence[str]) -> dict[str, Any]:

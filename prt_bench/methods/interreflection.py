@@ -49,7 +49,7 @@ def bounced_transfer(
     """
     if bounces < 1:
         raise SpecError(f"bounces is {bounces}, but must be at least 1; sh-triple shows direct light alone")
-    if transport.walks is not None:
+    if transport.scene.translucent:
         raise SpecError(
             f"'{transport.scene.name}' has translucent bodies, which bounces of fixed light do not enter; use sh-triple"
         )

@@ -3,13 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import prt_bench as prt
 from data_gen.decisions import FORCIBLE, forced
 from data_gen.trace import transport_key
-from prt_bench.errors import SpecError
+from prt_bench.errors import RuntimeUnavailable, SpecError
+from prt_bench.methods.operator import importance
+from prt_bench.runtime.runtime import Runtime
 
 SMALL: dict[str, Any] = {
     "scenario": "point", "lightings": 3, "texels": 24, "rays": 16, "measurements": 8, "supersampling": 1,
@@ -37,6 +40,33 @@ def test_an_effect_that_nothing_calls_for_changes_nothing(name: str, folder: Pat
     assert with_it.hash == without.hash
     for array in ("direct", "indirect", "measured", "noise", "shown_direct"):
         np.testing.assert_array_equal(getattr(with_it, array), getattr(without, array))
+
+
+def test_what_goes_through_the_operator_does_not_notice(folder: Path) -> None:
+    scene = prt.load_scene("cornell")
+    without, with_it = (prt.bake(scene, **SMALL, force=force, out=folder) for force in ((), ("subsurface",)))
+    u = jnp.asarray(np.random.default_rng(0).normal(size=(len(without.points), 2)))
+    found = [importance(ds.transport, jnp.asarray(ds.transport.samples.albedo), u) for ds in (without, with_it)]
+    np.testing.assert_allclose(*found, rtol=1e-12, atol=1e-12)
+    one, other = (prt.method("sh-texture", order=2).fit(ds.split("train")) for ds in (without, with_it))
+    test = without.split("test")
+    np.testing.assert_allclose(one.predict(test), other.predict(test), rtol=1e-5, atol=1e-6)
+
+
+def test_frames_are_the_same(folder: Path) -> None:
+    scene = prt.load_scene("cornell")
+    frames = []
+    for force in ((), ("subsurface",)):
+        ds = prt.bake(scene, **SMALL, force=force, out=folder)
+        try:
+            runtime = Runtime(ds, (64, 48), 256)
+        except RuntimeUnavailable as error:
+            pytest.skip(str(error))
+        assert runtime.mesh.translucent == bool(force)
+        test = ds.split("test")
+        frames.append(runtime.frame(test.lightings[0], runtime.lightmap(test.indirect[0]), True))
+    assert frames[0].max() > 0
+    np.testing.assert_array_equal(*frames)
 
 
 def test_forced_channels_and_shadow_rays_are_simulated_on_the_same_rays(folder: Path) -> None:
