@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -53,6 +53,11 @@ class Schedule:
         for name in ("epochs", "batch", "rate", "chunks", "patience"):
             if not getattr(self, name) > 0:
                 raise SpecError(f"{name} of a training schedule must be positive, not {getattr(self, name)}")
+
+    @classmethod
+    def lasting(cls, steps: int, examples: int, batch: int, rate: float, patience: int) -> Self:
+        """Passes over so many `examples` that come to about `steps` batches, for what needs them however few there are."""
+        return cls(max(1, -(-steps * min(batch, examples) // examples)), batch, rate, patience=patience)
 
     def plan(self, examples: int) -> tuple[int, int, int]:
         """Chunks, steps in each, and examples per batch, for a number of examples."""

@@ -101,7 +101,7 @@ class FieldShape:
 
     def schedule(self, points: int) -> Schedule:
         """Passes over `points` that come to that many batches."""
-        return Schedule(max(1, -(-self.steps * min(_BATCH, points) // points)), _BATCH, self.rate, patience=40)
+        return Schedule.lasting(self.steps, points, _BATCH, self.rate, patience=40)
 
 
 def fit_transfer(

@@ -26,6 +26,9 @@ class _Texels(NamedTuple):
     target: Float[Array, "T B"]
 
 
+_BATCH = 1024  # texels
+
+
 @dataclass(frozen=True)
 class MlpDecoder(Method):
     """y = φ(p, n) · u: φ a network of `depth` layers, each `width` wide, of position p and normal n; u a latent code of x.
@@ -34,9 +37,9 @@ class MlpDecoder(Method):
     texel; its last layer begins as their least squares on random features. The code is then the least-squares answer for
     the field as it came out, u = φ⁺ U W x. `encoding` says what the network sees of a position besides itself: sines and
     cosines, or features of a grid that are trained with it. `loss` "relative" weighs dark texels like bright ones (see
-    `relative_square`). All of the `Schedule` is run, since a field's error may rise before it falls; the weights that are best
-    for the training split are kept. `epochs` and `rate` are the schedule's. A file named by `checkpoint` keeps the state of a
-    training that is interrupted. The dataset must be baked with `streamed` lightings.
+    `relative_square`). About `steps` batches are taken at `rate`, all of them, since a field's error rises before it falls;
+    the weights that are best for the training split are kept. A file named by `checkpoint` keeps the state of a training that
+    is interrupted. The dataset must be baked with `streamed` lightings.
     """
 
     name: ClassVar[str] = "mlp-decoder"
@@ -51,7 +54,7 @@ class MlpDecoder(Method):
     depth: int = 2
     encoding: Encoding = "frequency"
     loss: Literal["square", "relative"] = "square"
-    epochs: int = 200
+    steps: int = 3000
     rate: float = 1e-2
     checkpoint: str = field(default="", compare=False)
 
@@ -59,7 +62,7 @@ class MlpDecoder(Method):
         self.require(self.basis >= 1, "basis", "at least 1")
         self.require(1 <= self.width <= 128, "width", "from 1 to 128")
         self.require(1 <= self.depth <= 8, "depth", "from 1 to 8")
-        self.require(self.epochs >= 1, "epochs", "at least 1")
+        self.require(self.steps >= 1, "steps", "at least 1")
         self.require(0 < self.rate < float("inf"), "rate", "a positive number")
 
     def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> FieldModel:
@@ -86,8 +89,8 @@ class MlpDecoder(Method):
         loss = {"square": _square_loss, "relative": _relative_loss}[self.loss]
         trained = train(
             (begun.network, begun.head, begun.grids), (begun.box, jnp.sqrt(jnp.mean(texels.target**2))), texels,
-            (texels, coefficients), loss, _score, Schedule(self.epochs, 1024, self.rate, patience=40), second,
-            self.label, Path(self.checkpoint) if self.checkpoint else None,
+            (texels, coefficients), loss, _score, Schedule.lasting(self.steps, len(points), _BATCH, self.rate, patience=40),
+            second, self.label, Path(self.checkpoint) if self.checkpoint else None,
         )  # fmt: skip
         found = field_of(trained.weights, begun.box)
         position, normal = (part.astype(jnp.float64) for part in place)

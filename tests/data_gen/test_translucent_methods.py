@@ -20,7 +20,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> LightingDataset:
 ORACLES = ("projection", "reference")
 QUICK = {
     "mlp-coefficients": {"epochs": 2},
-    "mlp-decoder": {"epochs": 2},
+    "mlp-decoder": {"steps": 50},
     "linear-finetuned": {"epochs": 2},
     "neural-transfer": {"steps": 50},
 }
