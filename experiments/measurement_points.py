@@ -9,7 +9,7 @@ Compared at the same M, over seeds of the starting points, on lightings that nei
 relative error of the indirect light's coefficients in a basis of 64 functions, the ridge chosen on the lightings kept aside
 for every row. All points are measured with one sample.
 
-    python experiments/measurement_points.py [--scene cornell] [--points 16 64] [--seeds 3] [--rounds 24] [--data FOLDER]
+    python experiments/measurement_points.py [--scene cornell] [--points 16 64] [--seeds 3] [--rounds 16] [--data FOLDER]
 """
 
 import time
@@ -32,7 +32,7 @@ from prt_bench.lights import emitters
 from prt_bench.linalg import leading_basis, relative_damping, ridge, rounding_floor
 from prt_bench.methods.operator import coefficients, importance
 
-BASIS, LIGHTINGS, KEPT, STEPS = 64, 768, 256, 5
+BASIS, LIGHTINGS, KEPT, STEPS = 64, 1536, 1536, 5
 RATE = 0.004
 RIDGES = np.logspace(-6, -1, 11)
 COLUMNS = ("points", "chosen by", "error, mean over seeds", "standard deviation", "against blue noise", "seconds")
@@ -136,7 +136,7 @@ def answers(transport: Transport, tracer: Tracer, basis: Array, count: int, seed
 
 
 def main() -> None:
-    parser = arguments(__doc__, None, scene="cornell", points=[16, 64], seeds=3, rounds=24)
+    parser = arguments(__doc__, None, scene="cornell", points=[16, 64], seeds=3, rounds=16)
     settings = parser.parse_args()
     ds = bake(settings.scene, "point", settings.data, streamed=2048)
     tracer, light = Tracer(ds.scene), np.asarray(ds.split("train").indirect, float)
