@@ -38,7 +38,7 @@ def predict(
     samples = int(_COVERAGE * draft.gather_texels**2)
     shared = draft.gather_texels == draft.texels
     traced = receivers if shared else receivers + samples
-    lit = receivers + dense + (0 if shared else samples)
+    lit = receivers + dense + samples * (2 if scene.translucent else 1)  # samples again for what enters media
     columns = lightings * draft.channels
     if draft.node_rays:
         traced -= receivers
