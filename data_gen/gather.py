@@ -13,6 +13,8 @@ from data_gen.tracer import Tracer
 from prt_bench.hemisphere import HemisphereSampler
 from prt_bench.points import SurfacePoints
 
+NOWHERE = -1
+"""The face of points in the air."""
 _RAYS_PER_STEP = 1 << 18
 """Enough to amortise a few hundred microseconds of dispatch."""
 _PROBES = 16
@@ -38,7 +40,7 @@ def trace_hits(
     """Hit table rows of `points`, whose global indices start at `first` or are given. Same result for any number of workers.
 
     A ray that carries nothing holds the number of samples, one that escaped one more. Where a normal is not that of the
-    point's face, rays below the face carry nothing: the surface hides them.
+    point's face, rays below the face carry nothing: the surface hides them. Points in the air have the face `NOWHERE`.
     """
     rays = sampler.local.shape[1]
     step = max(_RAYS_PER_STEP // rays, 1)
@@ -46,7 +48,7 @@ def trace_hits(
     turns = sampler.turns(first, points.normal)
     table = np.empty((len(points), rays), resolver.sample.dtype)
     flat = resolver.normals[points.face]
-    tilted = np.abs(points.normal - flat).max(axis=1, initial=0.0) > 1e-6
+    tilted = (points.face != NOWHERE) & (np.abs(points.normal - flat).max(axis=1, initial=0.0) > 1e-6)
 
     def trace(start: int) -> None:
         rows = slice(start, min(start + step, len(points)))

@@ -40,6 +40,7 @@ _ON_FIRST_USE = {
     "light": "data_gen.bake",
     "bake_animation": "data_gen.animation",
     "keyframe_times": "data_gen.animation",
+    "probes": "data_gen.effects.probes",
     "seen": "data_gen.direct",
     "skips": "data_gen.skips",
 }
@@ -69,6 +70,7 @@ __all__ = [
     "method",
     "methods",
     "plan",
+    "probes",
     "scenes",
     "seen",
     "skips",

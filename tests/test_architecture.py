@@ -29,6 +29,7 @@ READ_BY_BAKE = (
     "modular",
     "spherical",
     "points",
+    "irradiance_volume",
     "transport",
     "walks",
     "dataset",
