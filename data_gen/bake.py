@@ -18,7 +18,7 @@ import zarr
 
 from data_gen.cost import comparison, spent
 from data_gen.decisions import Plan
-from data_gen.hull import hull_scene
+from data_gen.hull import hull_scene, measuring_scene
 from data_gen.journal import begun, content_key, create_array, data_folder, resumable
 from data_gen.light import LightPass
 from data_gen.plan import HELD_OUT_LEAST, Auto, MeasureOn, plan, with_more_rays
@@ -120,6 +120,8 @@ def bake(
         seed,
         out,
     )
+    if layout is not None and scene.strands is not None:
+        raise SpecError(f"scene '{scene.name}' has hair, whose texels do not keep their places in other poses")
     if layout is not None:
         if "hull" in (measure_on, layout.metadata.get("measure_on")):
             raise SpecError("a hull has no places that another pose could keep; measure poses on the surface")
@@ -177,7 +179,7 @@ def _bake(
     lights, splits = _draw(scene, scenario, lightings, asked["ood"], seed, tracer)
     further = sample_lightings(scene, scenario, streamed, [seed, 2], tracer) if streamed else ()
     if layout is None:
-        place = hull_scene(scene, tracer) if measure_on == "hull" else scene
+        place = hull_scene(scene, tracer) if measure_on == "hull" else measuring_scene(scene, tracer)
         points = measurement_points(place, measurements, supersampling, seed, tracer)
     else:
         points = (on_pose(scene, layout.measurement_points), on_pose(scene, layout.dense_points), layout.groups)

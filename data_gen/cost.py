@@ -1,5 +1,6 @@
 """What a bake will cost, from counts and from rates measured here and now, and what it did cost beside that."""
 
+import os
 import resource
 import sys
 import time
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from data_gen.decisions import Cost, Plan
+from data_gen.effects.hair import SECONDS_PER_RAY, predicted_rays
 from data_gen.effects.subsurface import predicted_walks
 from data_gen.tracer import Tracer
 from prt_bench.lights import AREA_SAMPLES, ENVIRONMENT_SAMPLES
@@ -58,6 +60,12 @@ def predict(
         gather_rays += int(starts * queries)
         disk += int(2 * starts * walks)
         seconds += starts * queries / ray_rate
+    if scene.strands is not None:
+        queries, entries = predicted_rays(scene, draft.rays)
+        gather_rays += queries
+        disk += 4 * entries * draft.channels
+        seconds += queries * SECONDS_PER_RAY / (workers or os.cpu_count() or 1)
+        seconds += entries * columns * min(draft.bounces, 16) / sum_rate
     memory = int(6e8) + 12 * samples * columns * 4 + 6 * min(receivers, 1 << 14) * columns * 4
     return Cost(gather_rays, shadow_rays, disk, memory, seconds)
 

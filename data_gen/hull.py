@@ -13,9 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import QhullError
 
+from data_gen.strands import without_strands
 from data_gen.tracer import Tracer
 from prt_bench.errors import SceneError
 from prt_bench.scene import Mesh, Scene
+from prt_bench.strands import SIDES
 
 MARGIN = 0.02
 """How far the hull keeps off its body at the corners, relative to the body's extent; elsewhere less."""
@@ -36,6 +38,20 @@ def hull_scene(scene: Scene, tracer: Tracer) -> Scene:
     alone: a facet has the material of one of the faces it stands for, without images. Raises `SceneError` as `check_hull`.
     """
     bodies, kept = _taken_apart(scene)
+    return _around(scene, bodies, kept, tracer)
+
+
+def measuring_scene(scene: Scene, tracer: Tracer) -> Scene:
+    """Where direct light is measured on surfaces: the scene itself, with a hull around hair, which has no surface for that."""
+    if scene.strands is None:
+        return scene
+    return _around(scene, _hair_hulls(scene), np.arange(scene.surfaces), tracer)
+
+
+def _around(
+    scene: Scene, bodies: list[tuple[trimesh.Trimesh, int]], kept: Int[np.ndarray, " kept"], tracer: Tracer
+) -> Scene:
+    """The faces that are `kept`, and hulls around the rest."""
     triangles, material = [scene.mesh.triangles[kept]], [scene.mesh.material[kept]]
     for index, (hull, owner) in enumerate(bodies):
         facets = np.asarray(hull.triangles)[
@@ -45,7 +61,8 @@ def hull_scene(scene: Scene, tracer: Tracer) -> Scene:
         material.append(np.full(len(facets), owner))
     corners = np.concatenate(triangles)
     mesh = Mesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), np.concatenate(material))
-    return replace(scene, mesh=mesh, materials=tuple(replace(m, image=None) for m in scene.materials))
+    materials = tuple(replace(m, image=None) for m in scene.materials)
+    return replace(scene, mesh=mesh, materials=materials, strands=None)
 
 
 def check_hull(scene: Scene) -> None:
@@ -55,8 +72,8 @@ def check_hull(scene: Scene) -> None:
 
 def _taken_apart(scene: Scene) -> tuple[list[tuple[trimesh.Trimesh, int]], Int[np.ndarray, " kept"]]:
     """The hull of each body with a material of its faces, and the faces of everything else."""
-    bodies, others = [], [np.zeros(0, int)]
-    for faces in _parts(scene.mesh):
+    bodies, others = _hair_hulls(scene), [np.zeros(0, int)]
+    for faces in _parts(without_strands(scene).mesh) if scene.surfaces else []:
         hull = _hull(scene.mesh.triangles[faces])
         if hull is None:
             others.append(faces)
@@ -68,6 +85,24 @@ def _taken_apart(scene: Scene) -> tuple[list[tuple[trimesh.Trimesh, int]], Int[n
             " measure it on the surface"
         )
     return bodies, np.concatenate(others)
+
+
+def _hair_hulls(scene: Scene) -> list[tuple[trimesh.Trimesh, int]]:
+    """The hull around all strands of each material. Strands that lie in a plane have their tubes' hull."""
+    strands, found = scene.strands, []
+    if strands is None:
+        return found
+    owner = strands.material[strands.owner]
+    for index in np.unique(owner):
+        corners = strands.vertices.reshape(-1, SIDES, 3)[owner == index].reshape(-1, 3)
+        hull = _widened(corners)
+        if hull is None:
+            raise SceneError(
+                f"the strands of material '{scene.materials[index].name}' have no hull that light could be measured on:"
+                " they are too thin for their length"
+            )
+        found.append((hull, int(index)))
+    return found
 
 
 def _parts(mesh: Mesh) -> list[Int[np.ndarray, " f"]]:
@@ -87,8 +122,12 @@ def _hull(triangles: Float[np.ndarray, "f 3 3"]) -> trimesh.Trimesh | None:
     # The divergence theorem about the middle: a good measure of what an open shell encloses too, negative facing inward.
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     volume = np.sum(np.linalg.det(triangles - middle)) / 6.0
-    if volume < _BODY * extent**3:
-        return None
+    return None if volume < _BODY * extent**3 else _widened(points)
+
+
+def _widened(points: Float[np.ndarray, "p 3"]) -> trimesh.Trimesh | None:
+    """The convex hull of points, a little wider, in small facets; None where there is none."""
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     try:
         hull = trimesh.convex.convex_hull(points)
         wider = trimesh.convex.convex_hull(hull.vertices + MARGIN * extent * hull.vertex_normals)

@@ -137,7 +137,7 @@ class Pilot:
         with TemporaryDirectory() as folder:
             group = zarr.open_group(Path(folder) / "walks.zarr", mode="a")
             write_walks(group, Journal(Path(folder)), 0, walker, {"receivers": points})
-            walks = read_walks(group)
+            walks = read_walks(group, self.scene)
             assert walks is not None
             table = walks.samples._replace(ends=np.asarray(walks.samples.ends[...]))
         return walks._replace(receivers=table, samples=table)

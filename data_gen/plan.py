@@ -15,6 +15,7 @@ import numpy as np
 from data_gen.atlas import check_mips, padding
 from data_gen.cost import predict
 from data_gen.decisions import FULL_TAIL, Cost, Decision, Plan, forced
+from data_gen.effects import hair
 from data_gen.effects.subsurface import media, predicted_events
 from data_gen.hull import check_hull
 from data_gen.journal import data_folder
@@ -98,10 +99,13 @@ def plan(
         scene.largest_albedo, FULL_TAIL if every else tolerance, None if every else convex
     )
     draft = Plan(
-        texels, texels, 2, bounces, tolerance, channels, convex, ("subsurface",) if bodies else (), vertices,
+        texels, texels, 2, bounces, tolerance, channels, convex, _effects(scene, bodies), vertices,
         (), Cost(0, 0, 0, 0, 0.0),
         node_rays, node_tolerance, mips, texture_set, force, noise if rays == "auto" else 0.0,
     )  # fmt: skip
+    if scene.strands is not None:
+        hair.check_hair(scene, texels, gather_texels, rays, vertices, node_rays)
+        gather_texels = texels
     held_out = max(HELD_OUT_LEAST, ceil(lightings / 4))
     pilot = _Measured(scene, scenario, held_out, seed, Path(out) if out is not None else data_folder(), workers)
     gather, gather_reason = pilot.gather_texels(draft, gather_texels, gather_tolerance)
@@ -113,7 +117,9 @@ def plan(
     draft = replace(draft, gather_texels=gather, gather_tolerance=gather_tolerance if gather < texels else 0.0)
     rays, ray_reason = pilot.rays(draft, rays, noise)
     decisions = (
-        Decision("effects", "diffuse, subsurface", f"{_names(scene, bodies)} filled with a medium")
+        Decision("effects", ", ".join(("diffuse", *_effects(scene, bodies))), "strands grow in the scene")
+        if scene.strands is not None
+        else Decision("effects", "diffuse, subsurface", f"{_names(scene, bodies)} filled with a medium")
         if bodies
         else Decision(
             "effects",
@@ -152,6 +158,8 @@ def plan(
         decisions += (
             Decision("subsurface", walks, f"at most {worst:.0f} events each on average, by the bodies' size"),
         )
+    if scene.strands is not None:
+        decisions += (Decision(*hair.decision(scene, rays)),)
     if vertices:
         decisions += (Decision("vertices", "traced", "as asked, for transfer that is stored there"),)
     if mips:
@@ -220,11 +228,11 @@ class _Measured(NamedTuple):
 
 def _overruled(draft: Plan, scene: Scene) -> Plan:
     """The plan with what was forced and would have been left out."""
-    if "subsurface" in draft.force and not draft.effects:
+    if "subsurface" in draft.force and "subsurface" not in draft.effects:
         why = "forced: no material asks for it"
         walks = Decision("subsurface", "walks from 0 points", why)
-        draft = replace(draft, effects=("subsurface",), decisions=(*draft.decisions, walks))
-        draft = draft.decided("effects", "diffuse, subsurface", why)
+        draft = replace(draft, effects=("subsurface", *draft.effects), decisions=(*draft.decisions, walks))
+        draft = draft.decided("effects", ", ".join(("diffuse", *draft.effects)), why)
     if "channels" in draft.force and scene.achromatic:
         draft = draft.decided("channels", "3", "forced: every albedo is grey")
     if "bounces" in draft.force:
@@ -232,6 +240,11 @@ def _overruled(draft: Plan, scene: Scene) -> Plan:
     if "shadow rays" in draft.force and draft.convex:
         draft = draft.decided("shadow rays", "yes", "forced: nothing can stand between points of a convex scene")
     return draft
+
+
+def _effects(scene: Scene, bodies: list[int]) -> tuple[str, ...]:
+    """What materials call for beyond diffuse reflection."""
+    return ("subsurface",) * bool(bodies) + ("hair",) * (scene.strands is not None)
 
 
 def _names(scene: Scene, indices: list[int]) -> str:

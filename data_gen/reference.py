@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from data_gen.medium_reference import Media
 from data_gen.tracer import Tracer
 from prt_bench.environment import EnvironmentMap
+from prt_bench.errors import SceneError
 from prt_bench.lights import (
     DirectionalLight,
     EnvironmentLight,
@@ -166,6 +167,10 @@ class _Paths:
     """Light paths in one scene under one lighting."""
 
     def __init__(self, scene: Scene, lighting: Lighting) -> None:
+        if scene.strands is not None:
+            raise SceneError(
+                f"scene '{scene.name}' has hair, in which paths of the reference do not go; take the hair out"
+            )
         self.scene = scene
         self.lights = lighting.lights
         self.tracer = Tracer(scene, workers=1)

@@ -95,8 +95,8 @@ def _alternatives(
 ) -> Iterator[tuple[str, Plan, Transport]]:
     """Each thing that was left out, the plan that does not, and its operator."""
     transport = ds.transport
-    if not planned.effects:
-        walks = no_walks(planned.rays, len(ds.scene.materials))
+    if "subsurface" not in planned.effects:
+        walks = transport.walks or no_walks(planned.rays, len(ds.scene.materials))
         yield "subsurface", replace(planned, effects=full.effects), replace(transport, walks=walks)
     if planned.channels < full.channels:
         yield "channels", replace(planned, channels=full.channels), transport

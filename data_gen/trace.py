@@ -8,12 +8,15 @@ from jaxtyping import Float
 
 from data_gen.atlas import lightmap_points, unwrap
 from data_gen.decisions import Plan
+from data_gen.effects.hair import VERSION as HAIR_VERSION
+from data_gen.effects.hair import write_strand_paths
 from data_gen.effects.subsurface import VERSION as WALKS_VERSION
 from data_gen.effects.subsurface import WalkTracer, write_walks
 from data_gen.gather import buried, trace_hits
 from data_gen.journal import content_key, create_array, resumable
 from data_gen.nodes import Interpolation, Looker, interpolate
 from data_gen.resolve import HitResolver
+from data_gen.strand_atlas import points_with_strands, unwrap_with_strands
 from data_gen.tracer import Tracer
 from data_gen.vertices import shading_vertices
 from prt_bench.dataset import Transport
@@ -45,6 +48,7 @@ def transport_key(scene: Scene, settings: Plan, seed: int, layout: Transport | N
             "tolerance": settings.tolerance,
             "effects": settings.effects,
             **({"walks": WALKS_VERSION} if "subsurface" in settings.effects else {}),
+            **({"hair": HAIR_VERSION} if scene.strands is not None else {}),
             **({"vertices": True} if settings.vertices else {}),
             **({"nodes": [settings.node_rays, settings.node_tolerance]} if settings.node_rays else {}),
             **({"mips": settings.mips} if settings.mips else {}),
@@ -67,13 +71,18 @@ def trace(
     if path.is_dir():
         return Transport.open(path)
     chosen = (settings.mips, settings.texture_set)
-    lightmap = unwrap(scene, settings.texels, folder, *chosen) if layout is None else layout.lightmap
-    receivers = lightmap_points(scene, lightmap)
+    charted, pointed = (unwrap, lightmap_points)
+    if scene.strands is not None:
+        charted, pointed = (unwrap_with_strands, points_with_strands)
+    lightmap = charted(scene, settings.texels, folder, *chosen) if layout is None else layout.lightmap
+    receivers = pointed(scene, lightmap)
     shared = settings.gather_texels == settings.texels
     home = scene if layout is None else layout.scene
     gather_map = lightmap if shared else unwrap(home, settings.gather_texels, folder)
     samples = receivers if shared else lightmap_points(scene, gather_map)
     hidden = buried(tracer, receivers, seed)
+    if receivers.clearance is not None:
+        hidden &= receivers.clearance == 0  # the axis of a strand lies in its own tube
     resolver = HitResolver.create(scene.mesh, gather_map, samples, hidden if shared else buried(tracer, samples, seed))
     sampler = HemisphereSampler.create(settings.rays, seed)
 
@@ -91,7 +100,7 @@ def trace(
             create_array(group, name, shape, chunk, resolver.sample.dtype)
         missing = [(index, chunk) for index, chunk in enumerate(chunks) if index not in journal.done]
         for index, (name, points, rows) in track(missing, f"trace {scene.name}"):
-            group[name][rows] = trace_hits(tracer, resolver, sampler, points[rows], rows.start)
+            group[name][rows] = _traced(tracer, resolver, sampler, points[rows], rows.start)
             journal.add(index)
         if settings.node_rays and len(chunks) not in journal.done:
             directions = HemisphereSampler.create(settings.node_rays, seed)
@@ -106,6 +115,11 @@ def trace(
             walker = WalkTracer(scene, gather_map, samples, sampler, tracer.workers)
             write_walks(group, journal, len(chunks) + 1, walker, from_points)
             tracer.nearest += sum(body.tracer.nearest for body in walker.bodies.values())
+        if scene.strands is not None:
+            walks = read_walks(group, scene) if scene.translucent else None
+            later = len(chunks) + 1 + len(receivers)
+            through = walks and walks.samples
+            write_strand_paths(group, journal, later, scene, tracer, gather_map, samples, settings.rays, seed, through)
         write_scene(group, scene)
         write_lightmap(group, "lightmap", lightmap)
         write_points(group, "receivers", receivers)
@@ -117,7 +131,7 @@ def trace(
         _write_sampler(group, sampler)
         sample_hits = "receiver_hits" if shared else "sample_hits"
         gather = GatherOperator.from_hits(np.asarray(group[sample_hits][...]), len(samples))
-        walks = read_walks(group)
+        walks = read_walks(group, scene)
         scattering = walks and walks.samples.scattering(len(samples), walks.colour)
         group.attrs.update(
             {
@@ -130,6 +144,19 @@ def trace(
             }
         )
     return Transport.open(path)
+
+
+def _traced(
+    tracer: Tracer, resolver: HitResolver, sampler: HemisphereSampler, points: SurfacePoints, first: int
+) -> np.ndarray:
+    """Hit table rows of points. Those on strands, which come last, have none: their light comes along paths of their own."""
+    if points.clearance is None:
+        return trace_hits(tracer, resolver, sampler, points, first)
+    table = np.full((len(points), sampler.local.shape[1]), resolver.samples, resolver.sample.dtype)
+    surfaces = int(np.sum(points.clearance == 0))
+    if surfaces:
+        table[:surfaces] = trace_hits(tracer, resolver, sampler, points[:surfaces], first)
+    return table
 
 
 def _grown(group: zarr.Group, rays: int, resolver: HitResolver) -> zarr.Array:

@@ -40,9 +40,10 @@ def direct_light(
     """
     at = jnp.asarray(points.position), jnp.asarray(points.normal)
     lit = emitters(lightings)
+    fibre = None if points.clearance is None else jnp.asarray(points.clearance > 0)
     if visibility is None:
-        return jax.vmap(lambda each: irradiance(each, *at))(lit)
-    return jax.vmap(lambda each, seen: irradiance(each, *at, seen))(lit, jnp.asarray(visibility))
+        return jax.vmap(lambda each: irradiance(each, *at, fibre=fibre))(lit)
+    return jax.vmap(lambda each, seen: irradiance(each, *at, seen, fibre))(lit, jnp.asarray(visibility))
 
 
 def measured_light(

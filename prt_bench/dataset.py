@@ -61,8 +61,9 @@ class Transport:
         """Open a transport store that `data_gen.bake` wrote."""
         group = open_group(path, "transport")
         receiver_hits, samples = member(group, "receiver_hits"), str(group.attrs["sample_hits"])
+        scene = read_scene(group)
         return cls(
-            read_scene(group),
+            scene,
             read_lightmap(group, "lightmap"),
             read_points(group, "receivers"),
             np.asarray(member(group, "buried")[...]),
@@ -74,7 +75,7 @@ class Transport:
             _read_sampler(group),
             _read_vertices(group),
             _read_nodes(group),
-            read_walks(group),
+            read_walks(group, scene),
         )
 
     def at_vertices(self) -> "tuple[Transport, Int[np.ndarray, 'F 3']]":

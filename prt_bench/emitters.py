@@ -37,30 +37,43 @@ def irradiance(
     position: Float[Array, "P 3"],
     normal: Float[Array, "P 3"],
     visibility: Bool[Array, "P Q"] | Float[Array, "P Q"] | None = None,
+    fibre: Bool[Array, " P"] | None = None,
 ) -> Float[Array, "P 3"]:
     """Irradiance [P, 3] in W/m² from Q emitters at P points.
 
     `strength` times intensity, summed over visible emitters. Differentiable in emitters, positions and normals; finite at
     contact because of the source radius r_s.
     """
-    weight = strength(emitters, position, normal)
+    weight = strength(emitters, position, normal, fibre)
     if visibility is not None:
         weight = weight * visibility
     return jnp.einsum("pq,qc->pc", weight, emitters.intensity, precision="highest")
 
 
-def strength(emitters: Emitters, position: Float[Array, "P 3"], normal: Float[Array, "P 3"]) -> Float[Array, "P Q"]:
+def strength(
+    emitters: Emitters,
+    position: Float[Array, "P 3"],
+    normal: Float[Array, "P 3"],
+    fibre: Bool[Array, " P"] | None = None,
+) -> Float[Array, "P Q"]:
     """Unoccluded irradiance per unit of intensity, for each point and emitter.
 
     f(c) max(n·ω, 0) / (r² + r_s²) for points and max(n·ω, 0) for directions, with the angular profile
     f(c) = smoothstep(outer, inner, c) · (1 or Lambert's max(c, 0)) of the cosine c to the emission axis.
+
+    On a `fibre` n is the tangent, and sin(n, ω)/π, the mean of the cosine around it, takes the place of max(n·ω, 0).
     """
     w = emitters.position[:, 3]
     offset = emitters.position[None, :, :3] - position[:, None, :] * w[None, :, None]
     distance_squared = jnp.sum(offset**2, axis=-1)
     safe = jnp.maximum(distance_squared, jnp.finfo(distance_squared.dtype).tiny * 1e6)
     direction = offset / jnp.sqrt(safe)[..., None]
-    incidence = jnp.maximum(jnp.einsum("pqd,pd->pq", direction, normal), 0.0)
+    facing = jnp.einsum("pqd,pd->pq", direction, normal)
+    incidence = jnp.maximum(facing, 0.0)
+    if fibre is not None:
+        # The smallest sine is above zero, where its gradient would be infinite.
+        around = jnp.sqrt(jnp.maximum(1.0 - facing**2, 1e-12)) / jnp.pi
+        incidence = jnp.where(fibre[:, None], around, incidence)
 
     outer, inner, lambert, radius_squared = jnp.moveaxis(emitters.profile, -1, 0)
     cosine = -jnp.einsum("pqd,qd->pq", direction, emitters.axis)

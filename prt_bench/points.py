@@ -13,6 +13,10 @@ class SurfacePoints(eqx.Module):
     position [P, 3] in metres, unit normal [P, 3], albedo [P, 3] (linear RGB), and where each point lies on the mesh:
     face [P] and barycentric [P, 3]. NumPy arrays; points are data, not parameters, so nothing is differentiated here
     (albedo enters the transport as an explicit argument).
+
+    `clearance` [P], None where no point lies on hair, is above zero at points on the axis of a strand: the distance from there
+    that is outside of its tube, in metres. Their `normal` is the unit tangent of the strand, and irradiance on them the mean
+    over the circumference.
     """
 
     position: Float[np.ndarray, "P 3"]
@@ -20,13 +24,19 @@ class SurfacePoints(eqx.Module):
     albedo: Float[np.ndarray, "P 3"]
     face: Int[np.ndarray, " P"]
     barycentric: Float[np.ndarray, "P 3"]
+    clearance: Float[np.ndarray, " P"] | None = None
 
     def __len__(self) -> int:
         return len(self.position)
 
     def __getitem__(self, index: slice | np.ndarray) -> Self:
         return type(self)(
-            self.position[index], self.normal[index], self.albedo[index], self.face[index], self.barycentric[index]
+            self.position[index],
+            self.normal[index],
+            self.albedo[index],
+            self.face[index],
+            self.barycentric[index],
+            None if self.clearance is None else self.clearance[index],
         )
 
 

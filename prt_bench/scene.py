@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prt_bench.errors import SceneError
+from prt_bench.hair import Hair
 from prt_bench.medium import Subsurface
+from prt_bench.strands import Strands
 
 MOST_EXPONENT = 1e6
 """Sharpest lobe of a glossy material, 0.1° wide; a mirror has no lobe that could be sampled or stored."""
@@ -70,6 +72,8 @@ class Material:
 
     `subsurface` fills the closed surfaces of the material with a medium. Its boundary then reflects what light does not
     enter, so albedo and specular are at most `Subsurface.reflected` together: usually 0, the medium gives the colour.
+
+    `hair` is what the strands of a scene are made of that have this material; their `albedo` is set to that of the fibres.
     """
 
     name: str = "grey"
@@ -79,8 +83,11 @@ class Material:
     glossy: Glossy | None = None
     normal_image: Float[np.ndarray, "H W 3"] | None = None
     subsurface: Subsurface | None = None
+    hair: Hair | None = None
 
     def __post_init__(self) -> None:
+        if self.hair is not None:
+            self._check_fibres(self.hair)
         values = np.asarray(self.albedo, float)
         if values.shape != (3,) or not np.all((values >= 0) & (values <= 1)):
             raise SceneError(
@@ -106,6 +113,14 @@ class Material:
     def _brightest(self) -> Float[np.ndarray, "3"]:
         """Largest albedo anywhere on the surface."""
         return np.asarray(self.albedo, float) * (1.0 if self.image is None else self.image.max(axis=(0, 1)))
+
+    def _check_fibres(self, hair: Hair) -> None:
+        """Take the colour from the fibres. Raise `SceneError` for what no fibre has."""
+        if self.glossy or self.subsurface or self.image is not None or self.normal_image is not None or self.two_sided:
+            raise SceneError(
+                f"material '{self.name}' is hair, which has neither images, lobes, a medium nor a second side; drop those"
+            )
+        object.__setattr__(self, "albedo", hair.albedo)
 
     def _check_boundary(self, medium: Subsurface) -> None:
         """Raise `SceneError` for a medium in a sheet, or below a surface that reflects what must enter."""
@@ -165,13 +180,17 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Scene:
-    """A mesh, its materials and a camera. `notes` says what the loader repaired, scaled or assumed."""
+    """A mesh, its materials and a camera. `notes` says what the loader repaired, scaled or assumed.
+
+    `strands` are those of hair, whose tubes are the mesh's last faces (`data_gen.strands.with_strands`).
+    """
 
     name: str
     mesh: Mesh
     materials: tuple[Material, ...]
     camera: Camera
     notes: tuple[str, ...] = field(default=())
+    strands: Strands | None = None
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
@@ -216,6 +235,11 @@ class Scene:
     def translucent_at(self, face: Int[np.ndarray, " P"]) -> Bool[np.ndarray, " P"]:
         """Whether the materials of faces hold a medium."""
         return np.array([m.subsurface is not None for m in self.materials])[self.mesh.material[face]]
+
+    @property
+    def surfaces(self) -> int:
+        """Number of faces that are not those of strands; the strands' come after them."""
+        return len(self.mesh.faces) - (0 if self.strands is None else len(self.strands.corners[0]))
 
     def albedo_at(self, face: Int[np.ndarray, " P"], barycentric: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
         """Linear RGB albedo at points given by face index and barycentric coordinates."""
@@ -302,9 +326,15 @@ class Scene:
             if medium is not None:
                 numbers = [*medium.scattering, *medium.absorption, medium.anisotropy, medium.ior]
                 digest.update(f"subsurface {np.array(numbers, '<f8').tobytes().hex()}".encode())
+            hair = material.hair
+            if hair is not None:
+                numbers = [*hair.absorption, hair.variance, hair.scale, hair.ior, hair.tilt]
+                digest.update(f"hair {np.array(numbers, '<f8').tobytes().hex()}".encode())
             for name, image in (("roughness", lobe and lobe.roughness_image), ("normal", material.normal_image)):
                 if image is not None:
                     digest.update(f"{name} {image.shape}".encode() + np.ascontiguousarray(image, "<f8").tobytes())
+        if self.strands is not None:
+            digest.update(self.strands.starts.astype("<i8").tobytes() + self.strands.nodes.astype("<f8").tobytes())
         if self.mesh.uv is not None:
             digest.update(np.ascontiguousarray(self.mesh.uv, "<f8").tobytes())
         return digest.hexdigest()

@@ -1,6 +1,7 @@
 """Scenes, points and lightmaps as zarr groups. Values only: what a dataset is lives in `dataset.py`."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,16 @@ import numpy as np
 import zarr
 
 from prt_bench.errors import DatasetError
+from prt_bench.hair import Hair
 from prt_bench.medium import Subsurface
 from prt_bench.points import Lightmap, SurfacePoints
 from prt_bench.scene import Camera, Glossy, Material, Mesh, Scene
+from prt_bench.strands import Strands
 
 FORMAT = 2
 """Part of every store's name, so that what an earlier version wrote is left alone and baked anew."""
 _POINT_FIELDS = ("position", "normal", "albedo", "face", "barycentric")
+_STRANDS = ("nodes", "starts", "radius", "material")
 
 
 def open_group(path: Path, kind: str) -> Any:  # a zarr.Group, whose members have no useful types
@@ -40,11 +44,14 @@ def write_points(group: zarr.Group, name: str, points: SurfacePoints) -> None:
     child = group.require_group(name)
     for field in _POINT_FIELDS:
         write_array(child, field, getattr(points, field))
+    if points.clearance is not None:
+        write_array(child, "clearance", points.clearance)
 
 
 def read_points(group: zarr.Group, name: str) -> SurfacePoints:
     """The inverse of `write_points`."""
-    return SurfacePoints(*(_array(group, f"{name}/{field}") for field in _POINT_FIELDS))
+    clearance = _array(group, f"{name}/clearance") if f"{name}/clearance" in group else None
+    return SurfacePoints(*(_array(group, f"{name}/{field}") for field in _POINT_FIELDS), clearance=clearance)
 
 
 def write_lightmap(group: zarr.Group, name: str, lightmap: Lightmap) -> None:
@@ -75,6 +82,9 @@ def write_scene(group: zarr.Group, scene: Scene) -> None:
         for kind, image in (("image", material.image), ("roughness", roughness), ("normal", material.normal_image)):
             if image is not None:
                 write_array(child, f"{kind}-{index}", image)
+    if scene.strands is not None:
+        for name in _STRANDS:
+            write_array(child.require_group("strands"), name, getattr(scene.strands, name))
     child.attrs["description"] = json.dumps(
         {
             "name": scene.name,
@@ -96,7 +106,7 @@ def read_scene(group: Any) -> Scene:
     mesh = Mesh(*(_array(group, f"scene/{name}") for name in ("vertices", "faces", "material")), uv=kept("uv"))
     materials = []
     for index, entry in enumerate(about["materials"]):
-        lobe, medium = entry.get("glossy"), entry.get("subsurface")
+        lobe, medium, hair = entry.get("glossy"), entry.get("subsurface"), entry.get("hair")
         materials.append(
             Material(
                 entry["name"],
@@ -106,9 +116,14 @@ def read_scene(group: Any) -> Scene:
                 lobe and Glossy(tuple(lobe["specular"]), lobe["exponent"], kept(f"roughness-{index}")),
                 kept(f"normal-{index}"),
                 medium and Subsurface(**{key: tuple(v) if isinstance(v, list) else v for key, v in medium.items()}),
+                hair and Hair(**{key: tuple(v) if isinstance(v, list) else v for key, v in hair.items()}),
             )
         )
-    return Scene(about["name"], mesh, tuple(materials), camera_from_json(about["camera"]), tuple(about["notes"]))
+    strands = None
+    if "strands" in group["scene"]:
+        strands = Strands(*(_array(group, f"scene/strands/{name}") for name in _STRANDS))
+    camera = camera_from_json(about["camera"])
+    return Scene(about["name"], mesh, tuple(materials), camera, tuple(about["notes"]), strands)
 
 
 def _about(material: Material) -> dict[str, Any]:
@@ -116,6 +131,8 @@ def _about(material: Material) -> dict[str, Any]:
     about = {"name": material.name, "albedo": material.albedo, "two_sided": material.two_sided}
     if material.subsurface is not None:
         about["subsurface"] = vars(material.subsurface)
+    if material.hair is not None:
+        about["hair"] = {field.name: getattr(material.hair, field.name) for field in fields(Hair)}
     if material.glossy is None:
         return about
     return {**about, "glossy": {"specular": material.glossy.specular, "exponent": material.glossy.exponent}}

@@ -62,22 +62,40 @@ class Scattering(eqx.Module):
     points left the body: the S of `GatherOperator` marks walks that were absorbed or never entered. One table serves all
     channels of a grey medium; otherwise there is one for each. Rows sum to at most 1 less what the boundary reflects.
     `colour` [p, C] is what the points' bodies return of light that is the same everywhere, see `shown`.
+
+    With `scale` [p, D, H] each of the p points has H rows in a table one after another, and K is the mean over them, times the
+    scale of row and channel. Strands of hair have such rows: light enters a path at many places, of which tables hold some.
     """
 
     rows: Int[Array, " p"]
     walks: tuple[GatherOperator, ...]
     colour: Float[Array, "p C"]
+    scale: Float[Array, "p D H"] | None = None
 
     def __call__(self, irradiance: Float[Array, "S N C"]) -> Float[Array, "p N C"]:
         """K · irradiance at the points `rows`."""
         samples, lightings, channels = irradiance.shape
         if len(self.walks) == 1:
-            return self.walks[0](irradiance.reshape(samples, -1)).reshape(-1, lightings, channels)
-        return jnp.stack([walk(irradiance[:, :, c]) for c, walk in enumerate(self.walks)], axis=2)
+            found = self.walks[0](irradiance.reshape(samples, -1)).reshape(-1, lightings, channels)
+        else:
+            found = jnp.stack([walk(irradiance[:, :, c]) for c, walk in enumerate(self.walks)], axis=2)
+        if self.scale is None:
+            return found
+        by_row = found.reshape(len(self.rows), self.scale.shape[2], lightings, channels)
+        return jnp.mean(by_row * jnp.swapaxes(self.scale, 1, 2)[:, :, None].astype(found.dtype), axis=1)
 
     def channel(self, index: int) -> "Scattering":
         """The same of one channel alone."""
-        return Scattering(self.rows, (self.walks[min(index, len(self.walks) - 1)],), self.colour[:, index : index + 1])
+        medium = min(index, len(self.walks) - 1)
+        scale = None if self.scale is None else self.scale[:, medium : medium + 1]
+        return Scattering(self.rows, (self.walks[medium],), self.colour[:, index : index + 1], scale)
+
+    def shares(self, u: Float[Array, "p B"]) -> Float[Array, "rows B"]:
+        """What the rows of the table of one channel get of values at the points, going the other way."""
+        if self.scale is None:
+            return u
+        share = self.scale[:, 0].astype(u.dtype) / self.scale.shape[2]
+        return (share[:, :, None] * u[:, None]).reshape(share.size, u.shape[1])
 
 
 @jax.custom_vjp

@@ -22,6 +22,8 @@ READ_BY_BAKE = (
     "lights",
     "emitters",
     "medium",
+    "hair",
+    "strands",
     "environment",
     "hemisphere",
     "visibility",

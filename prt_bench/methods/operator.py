@@ -75,7 +75,7 @@ def _importance_within(
     gather, own = transport.sample_gather(differentiable=True), jnp.asarray(transport.receivers.albedo, u.dtype)
     rows = leaving.rows
     u = u.at[rows].divide(leaving.colour.astype(u.dtype))
-    arriving = _transposed_gather(leaving.walks[0], u[rows])
+    arriving = _transposed_gather(leaving.walks[0], leaving.shares(u[rows]))
     received = _received(transport, u.at[rows].multiply(own[rows, channel, None])) + _transposed_gather(
         gather, arriving
     )

@@ -1,0 +1,233 @@
+"""Hair: a sparse, light-independent map from irradiance at gather samples to light that leaves strands after several fibres.
+
+Paths (`data_gen/hair_paths.py`) are traced once from each texel of a strand. Light that falls on any fibre of a path, or on the
+surface where it ends, leaves the texel: those places are drawn from, as many as a point has rays, and the scale of a row says
+how many there were.
+
+Between fibres light is followed by direction. Direct light that a fibre scatters is taken to leave it evenly around it, as what
+is stored of it is a mean around the fibre. That forgets that paths which go out of the hair go on outward, and by itself loses
+light; so places on fibres are weighted to give what the paths themselves see of a sky that is the same everywhere (`_weights`).
+
+What rays from surfaces see of hair is the same mean. Checks, predictions and tables in the store are here; their use is
+`prt_bench.transport.Scattering`.
+"""
+
+import json
+from collections.abc import Mapping
+
+import numpy as np
+import zarr
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from data_gen.hair_paths import LONGEST, Fate, StrandPaths, Visits
+from data_gen.journal import Journal, create_array
+from data_gen.medium_walk import uniform, walk_keys
+from data_gen.resolve import HitResolver
+from data_gen.strand_atlas import strand_rows
+from data_gen.tracer import Tracer
+from prt_bench.errors import SpecError
+from prt_bench.hemisphere import hashed
+from prt_bench.points import Lightmap, SurfacePoints
+from prt_bench.progress import say, track
+from prt_bench.scene import Scene
+from prt_bench.store import write_array
+from prt_bench.strands import TEXELS
+from prt_bench.walks import WalkTable
+
+VERSION = 1  # part of the transport's key: raise when the same inputs would give other paths
+_PATHS = 1 << 17  # paths that are traced and stored together
+SECONDS_PER_RAY = 3e-6
+"""What a ray of a path costs on one core, for predictions: its scattering more than its tracing."""
+_SKY_RAYS = 64  # from each texel, that tell how much of the sky it sees
+_PRIOR = 8.0  # paths whose worth of the neighbours' weight is mixed into that of a texel
+_REFLECTED, _ONWARD, _DRAWN = np.uint64(21), np.uint64(22), np.uint64(23)  # choose random numbers
+
+
+def check_hair(
+    scene: Scene, texels: int, gather_texels: int | str | None, rays: int | str, vertices: bool, node_rays: int
+) -> None:
+    """Raise `SpecError` or `SceneError` for settings of a bake that hair does not have."""
+    strand_rows(scene, texels)
+    if rays == "auto":
+        raise SpecError(f"scene '{scene.name}' has hair, whose noise no pilot measures; give rays a number")
+    if gather_texels not in (None, "auto", texels):
+        raise SpecError(
+            f"scene '{scene.name}' has hair, whose texels are its gather samples; leave gather_texels out, or give it {texels}"
+        )
+    if vertices:
+        raise SpecError(
+            f"scene '{scene.name}' has hair, which has texels but no vertices of its own; leave vertices out"
+        )
+    if node_rays:
+        raise SpecError(f"scene '{scene.name}' has hair, between whose texels light is not smooth; leave node_rays out")
+
+
+def predicted_events(scene: Scene) -> float:
+    """Mean number of fibres that a path meets, roughly: what fibres absorb ends it, or the hair around it.
+
+    Hair of the optical thickness τ, the mean number of fibres across its hull (4V/S times the fibres' width per volume), is
+    left after τ + τ² / 2 of them where nothing is absorbed.
+    """
+    strands = scene.strands
+    assert strands is not None
+    width = float(np.sum(strands.segments * 2.0 * strands.radius[strands.owner[strands.first]]))
+    try:
+        hull = ConvexHull(strands.nodes)
+        thickness = np.pi * width / hull.area
+    except (QhullError, ValueError):  # flat, or too few
+        thickness = 0.0
+    most = max(max(scene.materials[index].albedo) for index in np.unique(strands.material))
+    alive = 1.0 / (1.0 - most) if most < 1 else np.inf
+    return float(1.0 + min(thickness + 0.5 * thickness**2, alive))
+
+
+def predicted_rays(scene: Scene, rays: int) -> tuple[int, int]:
+    """Rays of all paths, and entries of the tables of one channel."""
+    assert scene.strands is not None
+    paths = len(scene.strands) * TEXELS * rays
+    return int(paths * predicted_events(scene)), paths
+
+
+def decision(scene: Scene, rays: int) -> tuple[str, str, str]:
+    """What the planner says of hair: what, how and why."""
+    assert scene.strands is not None
+    return (
+        "hair",
+        f"{rays} paths per texel",
+        f"{len(scene.strands)} strands of {TEXELS} texels; a path meets some {predicted_events(scene):.0f} fibres",
+    )
+
+
+def write_strand_paths(
+    group: zarr.Group,
+    journal: Journal,
+    first: int,
+    scene: Scene,
+    tracer: Tracer,
+    lightmap: Lightmap,
+    samples: SurfacePoints,
+    rays: int,
+    seed: int,
+    bodies: WalkTable | None,
+) -> None:
+    """Trace and store the paths of all strand texels, `rays` of each; journal entries are numbered from `first`.
+
+    `bodies` are walks through translucent bodies from the samples, which paths that end on such bodies go on along.
+    """
+    assert scene.strands is not None
+    assert samples.clearance is not None
+    resolver = HitResolver.create(scene.mesh, lightmap, samples)
+    channels = 1 if scene.achromatic else 3
+    paths = StrandPaths(scene, scene.strands, tracer, resolver, channels)
+    rows = np.flatnonzero(samples.clearance > 0)
+    child = group.require_group("strands/receivers")
+    write_array(child, "rows", rows.astype(np.int32))
+    write_array(child, "material", scene.mesh.material[samples.face[rows]].astype(np.int32))
+    size = max(_PATHS // rays, 1)
+    create_array(
+        child, "ends", (len(rows), channels, rays), (min(size, len(rows)), channels, rays), resolver.sample.dtype
+    )
+    create_array(child, "scale", (len(rows), channels, 2), (min(size, len(rows)), channels, 2), np.float32)
+    table = _Table(paths, samples, rays, seed, bodies)
+    chunks = [slice(at, min(at + size, len(rows))) for at in range(0, len(rows), size)]
+    missing = [(first + i, part) for i, part in enumerate(chunks) if first + i not in journal.done]
+    for number, part in track(missing, f"paths in the hair of {scene.name}"):
+        ends, scale, fates = table.rows(part)
+        child["ends"][part], child["scale"][part] = ends, scale  # pyright: ignore[reportIndexIssue]
+        journal.add(number, fates=fates.tolist())
+    found = np.sum([journal.done[first + i]["fates"] for i in range(len(chunks))], axis=0)
+    group["strands"].attrs["fates"] = json.dumps({fate.name.lower(): found[:, fate].tolist() for fate in Fate})
+    left = found[:, [Fate.ALIVE, Fate.LOST]].sum() / found.sum()
+    if left > 0:
+        say(f"hair of {scene.name}: {left:.1e} of the paths neither left nor were absorbed after {LONGEST} rays")
+
+
+class _Table:
+    """Rows of the table of one scene's strand texels."""
+
+    def __init__(
+        self, paths: StrandPaths, samples: SurfacePoints, rays: int, seed: int, bodies: WalkTable | None
+    ) -> None:
+        self.paths, self.albedo, self.rays, self.seed = paths, samples.albedo, rays, seed
+        self.bodies = None if bodies is None else np.asarray(bodies.ends[:])
+        strands = paths.scene.strands
+        assert strands is not None
+        self.open = np.ones(len(samples))
+        every = np.arange(len(strands) * TEXELS)
+        self.open[-len(every) :] = paths.openness(every, _SKY_RAYS, seed)
+        self.body_row = np.full(len(samples), -1)
+        if bodies is not None:
+            self.body_row[bodies.rows] = np.arange(len(bodies.rows))
+
+    def rows(self, part: slice) -> tuple[Int[np.ndarray, "p D R"], Float[np.ndarray, "p D 2"], Int[np.ndarray, "D F"]]:
+        """Samples, scales and counts of fates of some strand texels."""
+        texel = np.arange(part.start, part.stop)
+        keys = walk_keys(texel, self.rays, self.seed).ravel()
+        followed = self.paths.follow(np.repeat(texel, self.rays), keys)
+        channels, slots = self.paths.channels, self.rays // 2
+        ends = np.full((len(texel), channels, self.rays), self.paths.resolver.samples, self.paths.resolver.sample.dtype)
+        scale = np.zeros((len(texel), channels, 2), np.float32)
+        turn = uniform(hashed(2 * texel[:, None].astype(np.uint64) + np.arange(2, dtype=np.uint64)), _DRAWN).ravel()
+        for channel in range(channels):
+            path, sample, on_fibre = self._sources(followed.visits, keys, channel)
+            # Paths that leave at once bring direct light.
+            later = (followed.fate[:, channel] == Fate.ESCAPED) & (followed.open == 0)
+            escaped = later.reshape(len(texel), -1).sum(axis=1)
+            weight = np.where(on_fibre, self._weights(path, sample, on_fibre, escaped)[path // self.rays], 1.0)
+            group = path // slots  # texel by texel, each with two halves of its paths
+            order = np.argsort(group, kind="stable")
+            total = np.bincount(group, weight, 2 * len(texel))
+            ahead = np.concatenate([[0.0], np.cumsum(weight[order])])
+            count = np.bincount(group, minlength=2 * len(texel))
+            last = np.cumsum(count)
+            # Evenly spaced along the weights of a half, from a random start: each visit is drawn by its weight on average.
+            wanted = (np.arange(slots) + turn[:, None]) * total[:, None] / slots + ahead[last - count][:, None]
+            drawn = np.searchsorted(ahead, wanted, side="right") - 1
+            drawn = np.clip(drawn, (last - count)[:, None], np.maximum(last - 1, 0)[:, None])
+            some = count > 0
+            halves = np.full((2 * len(texel), slots), self.paths.resolver.samples, ends.dtype)
+            halves[some] = sample[order][drawn[some]]
+            ends[:, channel] = halves.reshape(len(texel), -1)
+            scale[:, channel] = (total / slots).reshape(-1, 2)
+        fates = np.stack([np.bincount(column, minlength=len(Fate)) for column in followed.fate.T])
+        return ends, scale, fates
+
+    def _weights(
+        self, path: np.ndarray, sample: np.ndarray, on_fibre: np.ndarray, escaped: Int[np.ndarray, " p"]
+    ) -> Float[np.ndarray, " p"]:
+        """What visits of fibres count, texel by texel: paths that escape after some, over the sky seen where they were.
+
+        Under a sky that is the same everywhere the first is the light that leaves a texel after several fibres, and the second
+        what the stored map makes of it. Where few paths escape the mean of the texels traced together takes over.
+        """
+        texel = path[on_fibre] // self.rays
+        seen = np.bincount(texel, self.open[sample[on_fibre]], len(escaped))
+        mean = escaped.sum() / max(seen.sum(), 1e-9)
+        return (escaped + _PRIOR * min(mean, 4.0)) / (seen + _PRIOR)
+
+    def _sources(
+        self, visits: Visits, keys: np.ndarray, channel: int
+    ) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " v"], Bool[np.ndarray, " v"]]:
+        """Paths, samples whose irradiance leaves along them, on fibres and, by their albedo, on surfaces; which are fibres."""
+        index = hashed(keys[visits.path])
+        reflected = uniform(index, _REFLECTED) < self.albedo[visits.sample, channel]
+        kept = visits.passed[:, channel] & (~visits.surface | reflected)
+        path, sample, fibre = visits.path[kept], visits.sample[kept].astype(np.int64), ~visits.surface[kept]
+        if self.bodies is None:
+            return path, sample, fibre
+        inside = np.flatnonzero(visits.passed[:, channel] & visits.surface & (self.body_row[visits.sample] >= 0))
+        medium, walks = min(channel, self.bodies.shape[1] - 1), self.bodies.shape[2]
+        chosen = (uniform(index[inside], _ONWARD) * walks).astype(np.int64)
+        through = self.bodies[self.body_row[visits.sample[inside]], medium, chosen].astype(np.int64)
+        back = through < self.paths.resolver.samples
+        return (
+            np.concatenate([path, visits.path[inside][back]]),
+            np.concatenate([sample, through[back]]),
+            np.concatenate([fibre, np.zeros(back.sum(), bool)]),
+        )
+
+
+def fates_of(group: zarr.Group) -> Mapping[str, list[int]]:
+    """What became of the paths of a transport store, by channel."""
+    return json.loads(str(group["strands"].attrs["fates"]))
