@@ -1,6 +1,6 @@
 // Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds. DIRECT, INDIRECT,
 // SHADOWS, GLOSSY and images of ALBEDO, ROUGHNESS and NORMAL compile their part in. Where bodies are TRANSLUCENT, indirect light
-// is what leaves them over their colour, and that multiplies it.
+// is what leaves them over their colour, and that multiplies it. HAIR scatters direct light as fibres do.
 #ifdef DIRECT
 #include "emitters.glsl"
 #endif
@@ -9,6 +9,11 @@
 #endif
 #ifdef GLOSSY
 #include "glossy.glsl"
+#endif
+#ifdef HAIR
+#ifdef DIRECT
+#include "hair.glsl"
+#endif
 #endif
 
 in vec3 position;
@@ -34,6 +39,12 @@ layout(binding = 7) uniform sampler2D roughness_image;
 #endif
 #endif
 
+#ifdef HAIR
+in vec3 fibre; // its tangent
+flat in float clearance;
+flat in int hair; // negative where the surface is no hair
+#endif
+
 out vec4 radiance;
 
 #ifdef ALBEDO_IMAGE
@@ -53,6 +64,18 @@ vec3 shading_normal() {
 }
 
 void main() {
+#ifdef HAIR
+    if (hair >= 0) {
+        radiance = vec4(0.0, 0.0, 0.0, 1.0);
+#ifdef INDIRECT
+        radiance.rgb += albedo / PI * indirect_irradiance(lightmap_uv);
+#endif
+#ifdef DIRECT
+        radiance.rgb += fibre_radiance(position, normalize(fibre), clearance, hair);
+#endif
+        return;
+    }
+#endif
     vec3 facing = shading_normal();
     vec3 irradiance = vec3(0.0);
 #ifdef DIRECT

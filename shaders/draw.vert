@@ -21,6 +21,14 @@ flat out vec3 bitangent;
 in vec3 in_colour;
 flat out vec3 colour;
 #endif
+#ifdef HAIR
+in vec3 in_fibre;
+in float in_clearance;
+in int in_hair;
+out vec3 fibre;
+flat out float clearance;
+flat out int hair;
+#endif
 #ifdef GLOSSY
 in vec3 in_specular;
 in float in_exponent;
@@ -52,6 +60,11 @@ void main() {
 #endif
 #ifdef TRANSLUCENT
     colour = in_colour;
+#endif
+#ifdef HAIR
+    fibre = in_fibre;
+    clearance = in_clearance;
+    hair = in_hair;
 #endif
 #ifdef GLOSSY
     specular = in_specular;

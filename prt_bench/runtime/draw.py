@@ -56,11 +56,14 @@ class DrawPass:
         images = {"ALBEDO_IMAGE": 1} if mesh.has_images else {}
         images |= {"NORMAL_IMAGE": 1, "LEAST_TILT": f"{LEAST_TILT:.9e}"} if mesh.has_normals else {}
         images |= {"TRANSLUCENT": 1} if mesh.translucent and "INDIRECT" in defines else {}
+        images |= {"HAIR": 1} if mesh.hair else {}
         images |= {"ROUGHNESS_IMAGE": 1} if mesh.has_roughness and "GLOSSY" in defines else {}
+        pasted = mesh.hair.pasted if mesh.hair else None
+        self._hair = mesh.hair
         self._programs = {
             "depth": shaders.program(context, "draw.vert", None, {}),
             "back": shaders.program(context, "draw.vert", "back.frag", {}),
-            "shaded": shaders.program(context, "draw.vert", "draw.frag", {"SHADED": 1, **images, **defines}),
+            "shaded": shaders.program(context, "draw.vert", "draw.frag", {"SHADED": 1, **images, **defines}, pasted),
         }
         self._meshes = {name: mesh.bound_to(self._programs[name]) for name in ("depth", "back", "shaded")}
         self._sky = Sky(context)
@@ -83,6 +86,9 @@ class DrawPass:
         ctx.depth_func = "<="
         if "eye" in self._programs["shaded"]:
             shaders.uniform(self._programs["shaded"], "eye").value = tuple(eye_of(camera))
+        if self._hair and "viewer" in self._programs["shaded"]:
+            shaders.uniform(self._programs["shaded"], "viewer").value = tuple(eye_of(camera))
+            self._hair.bind()
         for first, count, images in self._ranges:
             for unit, image in images.items():
                 image.use(unit)

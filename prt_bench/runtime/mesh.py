@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prt_bench.points import Lightmap
+from prt_bench.runtime.fibres import Fibres
 from prt_bench.scene import Material, Scene
 
 
@@ -39,12 +40,17 @@ class MeshBuffers:
             "in_specular": _per_corner(np.array([_lobe(m)[:3] for m in materials]), owner),
             **self._frames(scene, order),
             **self._colours(scene, order, colour),
+            **_fibres(scene, order),
             "in_exponent": _per_corner(np.array([_lobe(m)[3:] for m in materials]), owner),
         }
         self._attributes = {
             name: (context.buffer(np.ascontiguousarray(values, "<f4").tobytes()), f"{values.shape[-1]}f4")
             for name, values in per_corner.items()
         }
+        self.hair = None if scene.strands is None else Fibres(context, materials)
+        if self.hair is not None:
+            layer = np.where(order < scene.surfaces, -1, np.asarray(self.hair.layer)[owner])
+            self._attributes["in_hair"] = (context.buffer(np.repeat(layer, 3).astype("<i4").tobytes()), "1i4")
         if corner is not None:
             self._attributes["in_vertex"] = (context.buffer(corner[order].astype("<i4").tobytes()), "1i4")
         self.vertices = 3 * len(order)
@@ -92,6 +98,20 @@ class MeshBuffers:
         """A vertex array with the attributes the program uses."""
         content = [(buffer, layout, name) for name, (buffer, layout) in self._attributes.items() if name in program]
         return self._context.vertex_array(program, content)
+
+
+def _fibres(scene: Scene, order: np.ndarray) -> dict[str, np.ndarray]:
+    """Tangents of strands at the corners of their tubes, smooth along them, and how far their tubes reach; 0 on surfaces."""
+    strands = scene.strands
+    if strands is None:
+        return {}
+    node = strands.corners[0]
+    tangent = np.zeros_like(strands.nodes)
+    tangent[strands.first] += strands.tangents
+    tangent[strands.first + 1] += strands.tangents
+    fibre = np.concatenate([np.zeros((scene.surfaces, 3, 3)), tangent[node]])
+    clearance = np.concatenate([np.zeros((scene.surfaces, 3)), strands.clearance[strands.owner[node]]])
+    return {"in_fibre": fibre[order], "in_clearance": clearance[order][..., None]}
 
 
 def _albedo_texture(context: moderngl.Context, material: Material) -> moderngl.Texture:

@@ -61,7 +61,8 @@ class Runtime:
             **({"SHADOWS": 1} if shadows else {}),
         }
         vertices, walks = ds.transport.vertices, ds.transport.walks
-        corner, colour = vertices and vertices.corner, walks and walks.colour
+        corner = vertices and vertices.corner
+        colour = walks.colour if walks and ds.scene.translucent else None
         self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap, corner, colour)
         self.mesh_vertices = 0 if vertices is None else len(vertices.points)
         self.layout = LightmapLayout(self.context, ds.lightmap, ds.transport.buried)
