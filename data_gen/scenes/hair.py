@@ -42,7 +42,7 @@ def build() -> Scene:
         parts.append(solid(part, material).transformed(np.eye(3), (0.0, 0.42, 0.0)))
     camera = Camera((0.35, 0.55, 0.95), (0.0, 0.33, 0.0), fov_y=34.0)
     bare = Scene("hair", assemble(parts), materials, camera)
-    growth = Growth(length=0.14, radius=1.5e-4, segments=5, spread=0.2, fall=1.6, curl=0.25)
+    growth = Growth(length=0.14, radius=1.5e-4, segments=5, spread=0.25, fall=2.6, curl=0.15)
     return grow(bare, SCALP, FIBRES, STRANDS, growth, seed=3)
 
 
