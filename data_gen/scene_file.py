@@ -19,25 +19,38 @@ scattering = [900.0, 700.0, 400.0]
 absorption = [1.0, 3.0, 12.0]  # or, instead of both, albedo = [...] and mean_free_path = [...] in metres
 anisotropy = 0.3
 ior = 1.4
+[hair.fur]                     # strands that grow on a material's faces; lengths in metres
+on = "body"
+strands = 10000
+length = 0.05
+radius = 5e-5
+colour = [0.5, 0.3, 0.15]      # or absorption = [...] per radius
+longitudinal = 0.3             # roughness from 0 to 1 along the fibre, and azimuthal around it; also ior, tilt,
+fall = 0.5                     # segments, spread, curl, vary (see `data_gen.strands.Growth`) and seed
 """
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from data_gen.loader import MeshOptions, read_mesh
+from data_gen.strands import Growth, grow
 from prt_bench.errors import SceneError
+from prt_bench.hair import Hair, absorption_of
 from prt_bench.medium import Subsurface
-from prt_bench.scene import Camera, Glossy, Scene
+from prt_bench.scene import Camera, Glossy, Material, Scene
 
-_KEYS = ("mesh", *(field.name for field in fields(MeshOptions)))
+_KEYS = ("mesh", "hair", *(field.name for field in fields(MeshOptions)))
 _CAMERA_KEYS = tuple(field.name for field in fields(Camera))
 _MATERIAL_KEYS = ("albedo", "two_sided", "glossy", "subsurface")
 _MEDIUM_KEYS = ("scattering", "absorption", "albedo", "mean_free_path", "anisotropy", "ior")
 _GLOSSY_KEYS = ("specular", "exponent")
+_GROWTH_KEYS = tuple(field.name for field in fields(Growth))
+_FIBRE_KEYS = ("longitudinal", "azimuthal", "ior", "tilt")
+_HAIR_KEYS = ("on", "strands", "seed", "colour", "absorption", *_FIBRE_KEYS, *_GROWTH_KEYS)
 _UP = ("x", "y", "z")
 
 
@@ -64,7 +77,43 @@ def read_scene_file(path: Path) -> Scene:
             for name in _table(data, "materials", path)
         },
     )
-    return read_mesh(path.parent / data["mesh"], options)
+    scene = read_mesh(path.parent / data["mesh"], options)
+    for name in _table(data, "hair", path):
+        scene = _with_hair(scene, _table(_table(data, "hair", path), name, path), name, path)
+    return scene
+
+
+def _with_hair(scene: Scene, table: Mapping[str, Any], name: str, path: Path) -> Scene:
+    where = f"hair.{name}."
+    _check_keys(table, _HAIR_KEYS, path, where)
+    names = [material.name for material in scene.materials]
+    for key in ("on", "strands", "length", "radius"):
+        if key not in table:
+            raise SceneError(
+                f"scene file {path}: {where.removesuffix('.')} needs on, strands, length and radius, not only some"
+            )
+    if table["on"] not in names:
+        raise SceneError(f"scene file {path}: {where}on is {table['on']!r}, but the materials are {', '.join(names)}")
+    if ("colour" in table) == ("absorption" in table):
+        raise SceneError(f"scene file {path}: {where.removesuffix('.')} needs either a colour or an absorption")
+    for key in set(table) - {"on", "colour", "absorption"}:
+        whole = key in ("strands", "seed", "segments")
+        if not (isinstance(table[key], int) if whole else _is_number(table[key])) or isinstance(table[key], bool):
+            raise SceneError(
+                f"scene file {path}: {where}{key} is {table[key]!r}, but must be a {'whole ' * whole}number"
+            )
+    try:
+        fibre = {key: float(table[key]) for key in _FIBRE_KEYS if key in table}
+        if "colour" in table:
+            absorption = absorption_of(_triple(table["colour"], f"{where}colour", path), fibre.get("azimuthal", 0.3))
+        else:
+            absorption = _triple(table["absorption"], f"{where}absorption", path)
+        hair = Material(name, hair=Hair.of_roughness(absorption, **fibre))
+        growth = Growth(**{key: table[key] for key in _GROWTH_KEYS if key in table})
+        seeded = replace(scene, materials=(*scene.materials, hair))
+        return grow(seeded, names.index(table["on"]), len(names), table["strands"], growth, table.get("seed", 0))
+    except SceneError as error:
+        raise SceneError(f"scene file {path}, {where.removesuffix('.')}: {error}") from error
 
 
 def _scale(data: Mapping[str, Any], path: Path) -> float | None:

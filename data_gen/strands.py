@@ -49,6 +49,8 @@ def grow(scene: Scene, on: int, material: int, count: int, growth: Growth, seed:
         raise SceneError(f"scene '{scene.name}' has no faces of material {on} for hair to grow on")
     if count < 1:
         raise SceneError(f"{count} strands of hair were asked for; grow at least one")
+    if seed < 0:
+        raise SceneError(f"hair grows by the seed {seed}, but a seed must not be negative")
     random = np.random.default_rng(seed)
     cumulative = np.cumsum(scene.mesh.areas[faces])
     chosen = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count * cumulative[-1])

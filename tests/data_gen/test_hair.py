@@ -7,8 +7,10 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 import prt_bench as prt
+from data_gen.geometry import Part, assemble, solid
 from data_gen.hair_paths import Fate, StrandPaths
 from data_gen.medium_walk import walk_keys
 from data_gen.resolve import HitResolver
@@ -20,8 +22,9 @@ from prt_bench.environment import EnvironmentMap
 from prt_bench.errors import SceneError, SpecError
 from prt_bench.evaluate import evaluate
 from prt_bench.hair import Hair
+from prt_bench.medium import Subsurface
 from prt_bench.methods.operator import importance, respond
-from prt_bench.scene import Scene
+from prt_bench.scene import Material, Scene
 from prt_bench.strands import Strands
 from tests.data_gen.test_absent_effect import preprocessed
 from tests.data_gen.tuft import FIBRES, WHITE, tuft
@@ -205,3 +208,32 @@ def test_a_scene_without_hair_holds_and_compiles_none_of_it(tmp_path: Path) -> N
         every = set(re.findall(r"#ifdef\s+(\w+)", code))
         assert "fibre" in preprocessed(code, every)
         assert not re.search("fibre|hair", preprocessed(code, every - {"HAIR"}))
+
+
+def test_hair_on_a_translucent_body(tmp_path: Path) -> None:
+    """Skin with a medium under hair: one table for both, and light from the body's inside reaches the strands."""
+    ball = solid(trimesh.creation.icosphere(subdivisions=2, radius=0.3), 2)
+    medium = Subsurface.of_albedo((0.99, 0.9, 0.8), (0.05, 0.05, 0.05))
+    base = tuft(Hair(BROWN), 60, ground=True)
+    ground = without_strands(base)
+    assert base.strands is not None
+    mesh = assemble([Part(ground.mesh.vertices, ground.mesh.faces, 0), ball])
+    skin = Material("skin", (0.0, 0.0, 0.0), subsurface=medium)
+    scene = with_strands(replace(ground, mesh=mesh, materials=(*ground.materials, skin)), base.strands)
+    ds = baked(scene, tmp_path, lightings=1)
+    walks = ds.transport.walks
+    assert walks is not None
+    assert ds.metadata["effects"] == ["subsurface", "hair"]
+    assert set(walks.fates) == {"skin", "hair"}
+    assert np.all(np.diff(walks.samples.rows) > 0)
+    assert set(walks.samples.material) == {FIBRES, 2}
+    assert np.all(np.isfinite(ds.indirect))
+    owner = ds.scene.mesh.material[ds.points.face]
+    # Light on the body alone reaches strands through paths that end on it and go on along its walks.
+    light = np.zeros((len(ds.transport.samples), 1, 3), np.float32)
+    light[ds.scene.mesh.material[ds.transport.samples.face] == 2] = 1.0
+    leaving = np.asarray(ds.transport.sample_scattering()(jnp.asarray(light)))[:, 0]  # pyright: ignore
+    on_hair = walks.samples.material == FIBRES
+    assert leaving[on_hair].mean() > 0.01
+    assert leaving[on_hair, 0].mean() > leaving[on_hair, 2].mean()
+    assert ds.indirect[:, owner == 2].mean() > 0

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import zarr
 
 import prt_bench as prt
@@ -158,3 +159,29 @@ def test_the_standard_scenes_have_as_many_strands_as_they_say() -> None:
     few = hairball.build(300)
     assert few.strands is not None
     assert len(few.strands) == 300
+
+
+def test_a_scene_file_grows_hair(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=1, radius=0.2).export(tmp_path / "ball.ply")
+    name = prt.load_scene(tmp_path / "ball.ply").materials[0].name
+    head = f'mesh = "ball.ply"\nscale = 1.0\n[hair.fur]\non = "{name}"\n'
+    body = "strands = 40\nlength = 0.1\nradius = 0.001\n"
+    (tmp_path / "a.toml").write_text(head + body + "colour = [0.5, 0.3, 0.2]\nior = 1.4\nsegments = 2\nseed = 3\n")
+    scene = prt.load_scene(tmp_path / "a.toml")
+    assert scene.strands is not None
+    assert len(scene.strands) == 40
+    assert len(scene.strands.nodes) == 120
+    fibres = scene.materials[-1].hair
+    assert fibres is not None
+    assert fibres.ior == 1.4
+    for rest, message in (
+        (body, "needs either a colour or an absorption"),
+        ("strands = 40\ncolour = [0.5, 0.3, 0.2]\n", "needs on, strands, length and radius"),
+        (body + "colour = [0.5, 0.3, 0.0]\n", "above 0 and up to 1"),
+        (body + "colour = [0.5, 0.3, 0.2]\nlenght = 1.0\n", "did you mean 'hair.fur.length'"),
+        (body + "colour = [0.5, 0.3, 0.2]\nseed = 0.5\n", "must be a whole number"),
+        (body.replace("40", "0") + "colour = [0.5, 0.3, 0.2]\n", "0 strands"),
+    ):
+        (tmp_path / "b.toml").write_text(head + rest)
+        with pytest.raises(SceneError, match=message):
+            prt.load_scene(tmp_path / "b.toml")
