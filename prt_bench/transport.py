@@ -23,6 +23,8 @@ from jaxtyping import Array, Float, Int
 
 from prt_bench.errors import FitError
 
+_DEAD = 1e-9  # relative to the first bounce
+
 
 class GatherOperator(eqx.Module):
     """G [P, S]: irradiance at P points from the radiosity of S samples.
@@ -223,7 +225,8 @@ def tail_bounds(
         leaving = worst[:, None] * field
         field = gather(leaving if scattering is None else _with_brightest(leaving, scattering, field))
         decay.append(float(jnp.max(field)))
-        if decay[-1] == 0.0:
+        # Among strands, which store no bounces of their own, light dies out long before its bound by albedo.
+        if decay[-1] <= (_DEAD * decay[0] if scattering is not None and scattering.scale is not None else 0.0):
             break
     heights = np.array(decay)
     rate = min(heights[-1] ** (1.0 / len(heights)), 1.0)

@@ -17,7 +17,7 @@ _COLOUR = (0.42, 0.24, 0.1)
 
 
 def build() -> Scene:
-    """Ground y = 0, 1.2 × 1.2 m; the head's middle is 0.42 m above it. Strands are 14 cm long, and 0.3 mm thick: each
+    """Ground y = 0, 2 × 2 m; the head's middle is 0.42 m above it. Strands are 14 cm long, and 0.3 mm thick: each
     stands for a lock of some ten hairs."""
     materials = (
         Material("ground", (0.5, 0.48, 0.45)),
@@ -33,14 +33,14 @@ def build() -> Scene:
     # The hairline rises from the neck behind to the forehead in front, where z is largest.
     covered = middle[:, 1] > 0.03 + 0.55 * middle[:, 2]
     parts = [
-        quad([(-0.6, 0, 0.6), (0.6, 0, 0.6), (0.6, 0, -0.6), (-0.6, 0, -0.6)], GROUND),
+        quad([(-1.0, 0, 1.0), (1.0, 0, 1.0), (1.0, 0, -1.0), (-1.0, 0, -1.0)], GROUND),
         bust,
     ]
     for faces, material in ((head.faces[~covered], SKIN), (head.faces[covered], SCALP)):
         part = trimesh.Trimesh(head.vertices, faces, process=False)
         part.remove_unreferenced_vertices()
         parts.append(solid(part, material).transformed(np.eye(3), (0.0, 0.42, 0.0)))
-    camera = Camera((0.35, 0.55, 0.95), (0.0, 0.33, 0.0), fov_y=34.0)
+    camera = Camera((0.38, 0.95, 0.95), (0.0, 0.33, 0.0), fov_y=32.0)
     bare = Scene("hair", assemble(parts), materials, camera)
     growth = Growth(length=0.14, radius=1.5e-4, segments=5, spread=0.25, fall=2.6, curl=0.15)
     return grow(bare, SCALP, FIBRES, STRANDS, growth, seed=3)
