@@ -29,6 +29,7 @@ from prt_bench.assets import RuntimeAsset
 from prt_bench.evaluate import errors
 from prt_bench.learned.cost import cost_of
 from prt_bench.learned.start import start_from
+from prt_bench.methods.mlp_decoder import MlpDecoder
 from prt_bench.models import Model
 from prt_bench.runtime import Runtime
 from prt_bench.runtime.timing import time_assets
@@ -45,6 +46,7 @@ def main() -> None:
     parser.add_argument("--scenario", choices=OOD, default="point")
     parser.add_argument("--texels", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=MlpDecoder.steps, help="batches that fields are trained with")
     parser.add_argument("--size", type=int, nargs=2, default=(320, 240), help="of the timed frames")
     parser.add_argument("--data", type=Path, default=None, help="where bakes are kept")
     parser.add_argument("--out", type=Path, default=Path("runs/learned_frontier"))
@@ -57,7 +59,7 @@ def main() -> None:
     )  # fmt: skip
     rows, assets = [], {}
     with tempfile.TemporaryDirectory() as folder:
-        for label, models in fits(ds.split("train"), settings.seeds):
+        for label, models in fits(ds.split("train"), settings.seeds, settings.steps):
             rows.append(row_of(label, models, ds))
             assets[label] = models[0][0].export(Path(folder) / str(len(rows)))
             rows[-1]["bytes"] = sum(assets[label].bytes.values())
@@ -71,7 +73,7 @@ def main() -> None:
     draw(settings.figure, rows)
 
 
-def fits(train: prt.LightingDataset, seeds: int) -> Iterator[tuple[str, list[tuple[Model, float]]]]:
+def fits(train: prt.LightingDataset, seeds: int, steps: int) -> Iterator[tuple[str, list[tuple[Model, float]]]]:
     """Each row's label, and its model and seconds for every seed; rows of one basis share the seconds of their start."""
     for basis in CLOSED:
         method = prt.method("reduced-rank", basis=basis)
@@ -87,7 +89,7 @@ def fits(train: prt.LightingDataset, seeds: int) -> Iterator[tuple[str, list[tup
         found = [timed(lambda m=method, s=start, k=seed: m.train_from(s, jax.random.key(k))) for seed in range(seeds)]
         yield f"mlp-coefficients b{basis} {width}×{depth}", [(model, seconds + spent) for model, seconds in found]
     for basis, width, encoding in DECODERS:
-        method = prt.method("mlp-decoder", basis=basis, width=width, encoding=encoding)
+        method = prt.method("mlp-decoder", basis=basis, width=width, encoding=encoding, steps=steps)
         start, spent = starts[basis]
         found = [
             timed(lambda m=method, s=start, k=seed: m.train_from(train, s, jax.random.key(k))) for seed in range(seeds)
