@@ -62,7 +62,8 @@ class Runtime:
         }
         vertices, walks = ds.transport.vertices, ds.transport.walks
         corner = vertices and vertices.corner
-        colour = walks.colour if walks and ds.scene.translucent else None
+        bodies = ds.scene.translucent or ds.scene.strands is None  # without strands all walks are through bodies
+        colour = walks.colour if walks and bodies else None
         self.mesh = MeshBuffers(self.context, ds.scene, ds.lightmap, corner, colour)
         self.mesh_vertices = 0 if vertices is None else len(vertices.points)
         self.layout = LightmapLayout(self.context, ds.lightmap, ds.transport.buried)
