@@ -14,6 +14,7 @@ from prt_bench.runtime.generate import CODE
 VERSION = "#version 430 core"
 _INCLUDE = re.compile(r'^#include "([\w./]+)"$', re.MULTILINE)
 _GENERATED = "generated/"
+_PASTED = ("distance", "fibres")  # what callers write; nothing where they do not, and what would use it is compiled out
 
 Defines = Mapping[str, int | str]
 Pasted = Mapping[str, str]
@@ -34,7 +35,8 @@ def source(name: str, defines: Defines | None = None, pasted: Pasted | None = No
     """One shader stage: version, defines, then the file with each include pasted once, where it is first named.
 
     An include of "generated/NAME" pastes code that `generate` writes for the order that ORDER defines, or `layers` for the
-    shape that NETWORK defines, and nothing where neither is defined: what would use it is compiled out. `pasted` comes first.
+    shape that NETWORK defines, and nothing where neither is defined: what would use it is compiled out. The caller has what is
+    `pasted`, for the names in `_PASTED`.
     """
     seen: set[str] = set()
 
@@ -44,8 +46,8 @@ def source(name: str, defines: Defines | None = None, pasted: Pasted | None = No
         seen.add(file)
         if file.startswith(_GENERATED):
             name = file.removeprefix(_GENERATED)
-            if name in (pasted or {}):
-                return (pasted or {})[name]
+            if name in _PASTED:
+                return (pasted or {}).get(name, "")
             if name in layers.CODE:
                 shape = (defines or {}).get("NETWORK")
                 return "" if shape is None else layers.CODE[name](str(shape))
