@@ -51,12 +51,13 @@ class Lights(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Where light is measured; weights and ridge as logarithms."""
+    """Where light is measured; weights and ridge as logarithms. None of them lies on hair."""
 
     position: np.ndarray
     normal: np.ndarray
     weight: np.ndarray
     ridge: float
+    clearance: None = None
 
 
 def measured(points: Points, moved: Array, weight: Array, lights: Lights, seen: Array) -> Float[Array, "M n"]:
