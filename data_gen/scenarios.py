@@ -11,7 +11,7 @@ from functools import lru_cache
 from math import ceil
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
@@ -35,13 +35,16 @@ from prt_bench.scene import Scene
 
 _MARGIN = 0.25  # by which the box that lights stand in exceeds the scene's, relative to its longest side
 _CLEARANCE = 0.03  # least distance of a light from any surface, relative to the extent
+_OF_THE_BEST = 0.25
 _LEVELS = (0.5, 2.0)
 _SOURCE_RADIUS = 0.003  # of point and spot lights, relative to the extent
 _LIT_SHARE = 0.02  # of the surface that a distant light must reach
 _WAVE = 128  # Sobol points drawn at a time
-_LEAST_SHARE = 1 / 64  # of candidates that must stand free, or the search is given up
+_LEAST_SHARE = 1 / 1024  # of candidates that must stand free, or the search is given up
+_TRIED = 8192  # candidates of which at least one must
 _DIMENSIONS = 12  # of the Sobol sequence: 0-2 place, 3-5 aim, 6-7 shape, 8 level, 9-11 colour
 _PROBES = 256  # surface points that tell what a light reaches
+_PLACES = 64  # of them, that tell how much room there is
 
 
 def sample_lightings(
@@ -64,14 +67,15 @@ def sample_lightings(
     entropy = np.random.SeedSequence([SCENARIOS.index(scenario), *np.atleast_1d(seed).tolist()])
     sobol = qmc.Sobol(_DIMENSIONS, rng=np.random.default_rng(entropy))
     lights: list[Light] = []
-    waves = ceil(count / (_WAVE * _LEAST_SHARE))
-    for _ in range(waves):
+    tried, most = 0, ceil(count / _LEAST_SHARE)
+    while tried < most and (lights or tried < _TRIED):
         lights += _PROPOSALS[scenario](scene, tracer, sobol.random(_WAVE), grey)
+        tried += _WAVE
         if len(lights) >= count:
             return tuple(Lighting((light,)) for light in lights[:count])
     raise LightError(
         f"scene '{scene.name}' has no place for {count} lightings of scenario '{scenario}':"
-        f" only {len(lights)} of {_WAVE * waves} candidates stand free and reach a surface's front"
+        f" only {len(lights)} of {tried} candidates stand free and reach a surface's front"
     )
 
 
@@ -185,24 +189,44 @@ def near_region(scene: Scene) -> Float[np.ndarray, "2 3"]:
 def _free_places(
     scene: Scene, tracer: Tracer, unit: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 3"], np.ndarray, Float[np.ndarray, " n"]]:
-    """Places that stand free and face fronts of surfaces, their rows of `unit`, and their distance to the scene."""
+    """Places that stand free and face fronts of surfaces, their rows of `unit`, and their distance to the scene.
+
+    In a building of many rooms no place is far from a wall or sees much of the whole; see `_least`.
+    """
     low, high = near_region(scene)
     place = low + unit[:, :3] * (high - low)
     clearance = tracer.clearance(place)
-    free = (clearance >= _CLEARANCE * scene.extent) & np.isfinite(clearance) & ~tracer.inside(place)
-    free[free] = _sees_fronts(scene, tracer, place[free])
+    free = np.isfinite(clearance) & ~tracer.inside(place)
+    front, back = _seen_from(scene, tracer, place)
+    least = _least(scene, tracer)
+    free &= (clearance >= least[0]) & (front >= least[1]) & (back <= 0.25 * front)
     return place[free], unit[free], clearance[free]
 
 
-def _sees_fronts(scene: Scene, tracer: Tracer, place: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Whether what is seen from a place, towards random surface points, are fronts and hardly any backs."""
+def _least(scene: Scene, tracer: Tracer) -> tuple[float, float]:
+    """Clearance and share of fronts that a place must have: at most a quarter of what the best of some places has.
+
+    Those lie half-way between a point on the surface and what is opposite to it.
+    """
+    points = _probes(scene)[:_PLACES]
+    ahead = tracer.intersect(points.position + tracer.offset * points.normal, points.normal)
+    half = 0.5 * np.minimum(ahead.distance, scene.extent)[:, None]
+    middle = points.position + half * points.normal
+    clearance, (front, _) = tracer.clearance(middle), _seen_from(scene, tracer, middle)
+    best = np.max(clearance, initial=0.0, where=np.isfinite(clearance)), np.max(front)
+    return min(_CLEARANCE * scene.extent, _OF_THE_BEST * best[0]), min(_LIT_SHARE, _OF_THE_BEST * best[1])
+
+
+def _seen_from(
+    scene: Scene, tracer: Tracer, place: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Shares of what is seen from places, towards random surface points, that are fronts and backs."""
     targets = _probes(scene).position
     direction = targets[None] - place[:, None]
     origin = np.broadcast_to(place[:, None], direction.shape)
     hits = tracer.intersect(origin.reshape(-1, 3), direction.reshape(-1, 3))
-    front = (hits.front & (hits.face >= 0)).reshape(direction.shape[:2]).mean(axis=1)
-    back = (~hits.front & (hits.face >= 0)).reshape(direction.shape[:2]).mean(axis=1)
-    return (front >= _LIT_SHARE) & (back <= 0.25 * front)
+    met = hits.face >= 0
+    return tuple((side & met).reshape(direction.shape[:2]).mean(axis=1) for side in (hits.front, ~hits.front))
 
 
 def _lit_share(scene: Scene, tracer: Tracer, direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

@@ -31,13 +31,15 @@ class Modes(NamedTuple):
     """What a cube with missing faces keeps.
 
     `basis` [n, B] orthonormal indirect irradiance, `read` [B, n] from radiosity to its coefficients, `implicit` [n, B] the
-    radiosity whose one bounce is the basis, `decay` the singular values of M.
+    radiosity whose one bounce is the basis, `decay` the singular values of M, `prior` [n, k] the radiosity of plausible light,
+    P S: independent columns, each as strong as it is likely.
     """
 
     basis: Float[np.ndarray, "n B"]
     read: Float[np.ndarray, "B n"]
     implicit: Float[np.ndarray, "n B"]
     decay: Float[np.ndarray, " k"]
+    prior: Float[np.ndarray, "n k"]
 
 
 def present(side: int, missing: Sequence[int]) -> Bool[np.ndarray, " n"]:
@@ -119,7 +121,7 @@ def _modes(transport: np.ndarray, basis: np.ndarray, weights: np.ndarray, functi
     u, s, vt = (np.asarray(factor) for factor in svd(jnp.asarray(bounced * weights)))
     rank = min(functions, int(np.sum(s > _FLOOR * s[0])))
     u, vt = u[:, :rank], vt[:rank]
-    return Modes(u, (u.T @ bounced) @ basis.T, (basis * weights) @ (vt.T / s[:rank]), s)
+    return Modes(u, (u.T @ bounced) @ basis.T, (basis * weights) @ (vt.T / s[:rank]), s, basis * weights)
 
 
 def needed(values: Float[np.ndarray, " k"], share: float) -> int:

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from data_gen.levels import EDGE, scene_of
 from data_gen.sampling import random_points
 from data_gen.scenarios import SCENARIOS, check_lightings, sample_lightings
 from data_gen.scenes import load_scene
@@ -20,6 +21,7 @@ from prt_bench.lights import (
     emitters,
     irradiance,
 )
+from prt_bench.modular.level import maze
 
 KINDS = {
     "spot": {SpotLight},
@@ -205,3 +207,16 @@ def test_distant_and_dark_lightings_pass(cornell):
 def test_unphysical_light_is_refused(cornell):
     with pytest.raises(LightError, match="negative"):
         check_lightings(cornell[0], [Lighting([PointLight((0, 1.5, 0), (-1, 1, 1))])], cornell[1])
+
+
+def test_in_a_maze_of_many_rooms_lights_stand_in_the_rooms():
+    """No place is far from a wall there, for its size, and none sees much of it."""
+    scene = scene_of(maze(60, 1))
+    tracer = Tracer(scene)
+    lights = sample_lightings(scene, "point", 24, 0, tracer)
+    place = np.array([lighting.lights[0].position for lighting in lights])  # pyright: ignore
+    cells = {tuple(cell) for cell in np.round(place[:, [0, 2]] / EDGE).astype(int).tolist()}
+    assert cells <= set(maze(60, 1).cells)
+    assert len(cells) > 8
+    assert np.all(np.abs(place[:, 1]) < 0.5 * EDGE)
+    assert tracer.clearance(place).min() > 0.1 * EDGE

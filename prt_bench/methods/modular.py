@@ -1,0 +1,85 @@
+"""Modular radiance transfer with one block: light within the bounding box, by transport that is the same for all boxes.
+
+Nothing of the scene is traced or learned. Its surfaces tell which faces the box has and how bright they are; all else is
+the reduced transport of a cube (`prt_bench.modular`), which no light that is asked for and no geometry changes.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from prt_bench.dataset import LightingDataset
+from prt_bench.linalg import relative_damping, ridge
+from prt_bench.methods.base import Method
+from prt_bench.methods.linear import linear_model
+from prt_bench.methods.operator import fit_albedo
+from prt_bench.models import LinearModel
+from prt_bench.modular.block import Box, missing_faces, modes_of, observation, on_faces, received
+from prt_bench.modular.modes import Modes
+
+
+@dataclass(frozen=True)
+class Modular(Method):
+    """y = U_p Σ_k (R)^k W ρ x: radiosity ρ x at the measurement points, read as light of the cube's prior.
+
+    W = UᵀF Σ Aᵀ (A Σ Aᵀ + λ)⁻¹ is the best linear estimate of the first bounce under the prior Σ = (P S)(P S)ᵀ, where A has
+    the cube's light at the points; R = UᵀF P Pᵀ ρ U carries each bounce to the next, for as many as the bake has; U_p is what
+    points at the receivers get of the light behind U. `ridge` is λ relative to the prior's light at the points. For scenes
+    that are about a box: light that a body keeps from a wall is not kept from it here.
+    """
+
+    name: ClassVar[str] = "modular"
+    summary: ClassVar[str] = "one box of modular radiance transfer: no precomputation of the scene's light"
+    citation: ClassVar[str] = "loos2011modular"
+    learns: ClassVar[bool] = False
+
+    basis: int = 32
+    ridge: float = 1e-2
+    side: int = 12
+    lights: int = 63
+
+    def __post_init__(self) -> None:
+        self.require(self.basis >= 1, "basis", "at least 1")
+        self.require(0 <= self.ridge < float("inf"), "ridge", "zero or positive")
+        self.require(4 <= self.side <= 32, "side", "from 4 to 32")
+        self.require(self.lights >= 1, "lights", "at least 1")
+
+    def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> LinearModel:
+        """In closed form, from points and albedo alone; the light of `ds` is not looked at."""
+        points, samples, scene = ds.measurement_points, ds.transport.samples, ds.transport.scene
+        box = Box.around(scene.bounds)
+        prior = 2 * max(self.basis, 32)
+        modes = modes_of(self.side, missing_faces(box, scene.mesh), self.basis, prior, self.lights)
+        seen = observation(box, points, self.side)
+        channels = fit_albedo(ds).shape[1]
+        albedo = np.asarray(points.albedo[:, :channels], float)
+        first = _first_bounce(jnp.asarray(seen @ modes.prior), jnp.asarray(modes.read @ modes.prior), self.ridge)
+        reflects = on_faces(observation(box, samples, self.side), np.asarray(samples.albedo[:, :channels], float))
+        sums = _bounces(modes, reflects, ds.transport.bounces)
+        matrix = np.einsum("cij,jm,mc->cim", sums, np.asarray(first), albedo)
+        basis = received(box, ds.transport.receivers, modes.implicit, self.side)
+        spare = self.basis - basis.shape[1]
+        return linear_model(
+            jnp.asarray(np.pad(basis, ((0, 0), (0, spare)))), jnp.asarray(np.pad(matrix, ((0, 0), (0, spare), (0, 0))))
+        )
+
+
+@jax.jit
+def _first_bounce(
+    measured: Float[Array, "M k"], bounced: Float[Array, "B k"], ridge_factor: float
+) -> Float[Array, "B M"]:
+    return ridge(measured, bounced, relative_damping(measured, ridge_factor))
+
+
+def _bounces(modes: Modes, albedo: Float[np.ndarray, "n C"], bounces: int) -> Float[np.ndarray, "C B B"]:
+    """1 + R + … + R^(bounces − 1) for every channel, R from the light after one bounce to that after the next."""
+    onwards = np.einsum("bn,nc,nd->cbd", modes.read, albedo, modes.basis, optimize=True)
+    identity = np.eye(onwards.shape[1])
+    total = np.broadcast_to(identity, onwards.shape)
+    for _ in range(bounces - 1):
+        total = identity + onwards @ total
+    return total
