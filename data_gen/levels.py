@@ -3,21 +3,25 @@
 import numpy as np
 
 from data_gen.geometry import Part, assemble
-from prt_bench.modular.cube import inward
-from prt_bench.modular.level import Level
+from prt_bench.modular.cube import FACES, inward
+from prt_bench.modular.dictionary import FACE_OF_SIDE, SIDES
+from prt_bench.modular.level import STEPS, Level
+from prt_bench.points import SurfacePoints
 from prt_bench.scene import Camera, Material, Scene
 
 EDGE = 3.0
 """Metres of a block's edge."""
+WALL = 0.03
+"""Metres of a wall's thickness between two blocks: faces that coincided would hide each other from rays."""
 NAMES = ("wall +x", "wall -x", "ceiling", "floor", "wall +z", "wall -z")
 
 
 def scene_of(level: Level, albedo: tuple[tuple[float, float, float], ...] = ((0.7, 0.7, 0.7),) * 6) -> Scene:
     """The faces of a level's blocks, fronts inward, with an albedo for each of the six kinds of face.
 
-    Block (i, j) is centred at (i, 0, j) · `EDGE`.
+    Block (i, j) is centred at (i, 0, j) · `EDGE`. A wall between two blocks takes half of its thickness from each.
     """
-    parts = []
+    parts, between = [], _between(level)
     for block, face in level.surfaces():
         column, row = level.cells[block]
         normal = inward(np.array([face]))[0]
@@ -26,10 +30,34 @@ def scene_of(level: Level, albedo: tuple[tuple[float, float, float], ...] = ((0.
         order = np.array([[0, 1, 2], [0, 2, 3]])
         if np.dot(np.cross(u, v), normal) < 0:
             order = order[:, ::-1]
-        parts.append(Part(EDGE * (np.array([column, 0.0, row]) + 0.5 * corners), order, face))
+        inset = 0.5 * WALL * normal if (block, face) in between else 0.0
+        parts.append(Part(EDGE * (np.array([column, 0.0, row]) + 0.5 * corners) + inset, order, face))
     middle = EDGE * np.mean([(column, 0.0, row) for column, row in level.cells], axis=0)
     far = EDGE * (2.0 + np.ptp(np.array(level.cells), axis=0).max())
     x, z = float(middle[0]), float(middle[2])
     camera = Camera((x, float(far), z + 0.1 * EDGE), (x, 0.0, z))
     materials = tuple(Material(name, colour) for name, colour in zip(NAMES, albedo, strict=True))
     return Scene(f"level-{len(level.cells)}", assemble(parts), materials, camera)
+
+
+def block_samples(level: Level, side: int) -> SurfacePoints:
+    """The `side`² samples of every face of every block, where the scene of the level has them; albedo 1."""
+    position, normal = level.points(side)
+    place = EDGE * position.reshape(len(position), FACES, -1, 3)
+    normals = normal.reshape(FACES, -1, 3)
+    for block, face in _between(level):
+        place[block, face] += 0.5 * WALL * normals[face]
+    place = place.reshape(-1, 3)
+    every = np.broadcast_to(normal, position.shape).reshape(-1, 3)
+    return SurfacePoints(place, every, np.ones_like(every), np.zeros(len(every), int), np.ones_like(every) / 3.0)
+
+
+def _between(level: Level) -> set[tuple[int, int]]:
+    """(block, face) of the two faces of each wall between blocks."""
+    index = {cell: at for at, cell in enumerate(level.cells)}
+    found = set()
+    for wall in level.walls:
+        one, other = sorted(wall)
+        side = STEPS.index((other[0] - one[0], other[1] - one[1]))
+        found |= {(index[one], FACE_OF_SIDE[side]), (index[other], FACE_OF_SIDE[(side + 2) % SIDES])}
+    return found

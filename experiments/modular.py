@@ -23,7 +23,7 @@ from _frames import arguments, table
 import prt_bench as prt
 from data_gen.direct import direct_irradiance
 from data_gen.journal import data_folder
-from data_gen.levels import EDGE, scene_of
+from data_gen.levels import EDGE, block_samples, scene_of
 from data_gen.tracer import Tracer
 from prt_bench.lights import emitters
 from prt_bench.metrics import relative_rmse
@@ -31,7 +31,6 @@ from prt_bench.modular.cube import FACES, one_bounce
 from prt_bench.modular.dictionary import Dictionary, build
 from prt_bench.modular.level import LevelTransfer, maze, transfer
 from prt_bench.modular.modes import _modes, direct_light, enriched, needed
-from prt_bench.points import SurfacePoints
 from prt_bench.timing import interleaved
 from prt_bench.transport import indirect
 
@@ -96,12 +95,8 @@ def study(count: int, dictionary: Dictionary, settings, folder) -> tuple[list[tu
     )
     lightings = [prt.Lighting([prt.PointLight(place, (20.0, 19.0, 17.0))]) for place in places]
     lit = prt.light(ds, lightings)
-    position, normal = level.points(dictionary.side)
-    every = np.broadcast_to(normal, position.shape).reshape(-1, 3)
-    nowhere = np.zeros(len(every), int)
-    points = SurfacePoints(EDGE * position.reshape(-1, 3), every, np.ones_like(every), nowhere, np.ones_like(every) / 3)
-    direct = direct_irradiance(Tracer(scene), points, emitters(lightings))
-    direct = np.moveaxis(direct.reshape(LIT, *position.shape), 0, 2).reshape(*position.shape[:2], -1)
+    direct = direct_irradiance(Tracer(scene), block_samples(level, dictionary.side), emitters(lightings))
+    direct = np.moveaxis(direct.reshape(LIT, count, -1, 3), 0, 2).reshape(count, -1, 3 * LIT)
     model = transfer(level, dictionary)
     albedo = np.repeat(np.array(ALBEDO), dictionary.side**2, axis=0)[None] * np.asarray(model.solid)[:, :, None]
     spread = level.interpolation(ds.points.position / EDGE, ds.points.normal, dictionary.side)

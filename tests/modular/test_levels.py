@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from data_gen.levels import EDGE, scene_of
+from data_gen.levels import EDGE, block_samples, scene_of
+from data_gen.tracer import Tracer
 from prt_bench.emitters import irradiance
 from prt_bench.errors import FitError, SpecError
 from prt_bench.lights import Lighting, SphereLight, emitters
@@ -143,6 +144,27 @@ def test_the_mesh_of_a_level_is_closed_and_faces_inward():
     corners = scene.mesh.triangles
     volume = -np.einsum("fc,fc->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
     assert volume == pytest.approx(5 * EDGE**3)
+
+
+def test_walls_between_blocks_show_their_fronts_to_both():
+    """Faces of two blocks in one plane would hide each other: half of the light on such a wall was lost."""
+    cells = ((0, 0), (1, 0), (1, 1), (0, 1))
+    level = Level(cells, frozenset({frozenset(((0, 0), (0, 1))), frozenset(((0, 1), (1, 1)))}))
+    direction = np.random.default_rng(0).normal(size=(2000, 3))
+    middle = EDGE * np.repeat([(0.2, 0.1, 0.3), (0.2, 0.1, 0.8)], 1000, axis=0)
+    hits = Tracer(scene_of(level)).intersect(middle, direction)
+    assert np.mean(hits.front) > 0.998  # what is left looks into the cut of a wall
+    samples = block_samples(level, 4)
+    below = Tracer(scene_of(level)).intersect(samples.position + 0.1 * samples.normal, -samples.normal)
+    there = solid_at(level, 4)
+    np.testing.assert_allclose(below.distance[there], 0.1, atol=1e-5)
+
+
+def solid_at(level, side):
+    """Which samples of blocks lie on faces that are there."""
+    found = np.zeros((len(level.cells), 6), bool)
+    found[tuple(np.transpose(level.surfaces()))] = True
+    return np.repeat(found.ravel(), side**2)
 
 
 def test_a_dictionary_is_kept_and_other_files_are_refused(dictionary, tmp_path):
