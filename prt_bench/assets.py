@@ -16,6 +16,7 @@ from jaxtyping import Float
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from prt_bench.clustered import ClusteredModel
 from prt_bench.errors import AssetError
 from prt_bench.gamma import GammaCoupledModel, GammaLinearModel
 from prt_bench.glossy import BouncedTripleModel, FixedTripleModel, TripleModel
@@ -30,6 +31,7 @@ VERSION = 1
 _MODELS: tuple[type[Model], ...] = (
     LinearModel,
     CoupledModel,
+    ClusteredModel,
     GammaLinearModel,
     GammaCoupledModel,
     NearestModel,

@@ -151,6 +151,14 @@ def orthonormal(span: Float[Array, "T B"]) -> Float[Array, "T B"]:
     return leading_basis(span, count, rounding_floor(span))[0]
 
 
+def fewer_columns(matrix: Float[Array, "m n"]) -> Float[Array, "m k"]:
+    """The lower triangular L of matrix = L Qᵀ, k = min(m, n): the same left singular vectors and values in fewer columns.
+
+    By Householder reflections, so nothing is squared. Differentiable where the rank is full.
+    """
+    return jnp.linalg.qr(matrix.T, mode="r").T
+
+
 def cut_gap(values: Float[Array, " n"], count: int) -> float:
     """Relative gap (σ_B − σ_{B+1}) / σ₁ at the cut; 0 means that which `count` vectors lead is arbitrary. 1 past the end."""
     if count >= values.shape[0] or values[0] == 0:

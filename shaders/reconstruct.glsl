@@ -1,5 +1,6 @@
 // Indirect irradiance at a lightmap coordinate, by the one kernel that is compiled in:
 // RECONSTRUCT_BASIS    Σ_b u_b φ_b, four basis functions per RGBA layer
+// RECONSTRUCT_CLUSTERS the same with CLUSTER_BASIS functions and coefficients of a texel's own cluster, see clusters.glsl
 // RECONSTRUCT_COUPLED  the same with a basis for each channel, one channel's layers after another's
 // RECONSTRUCT_CHANNELS the same layout, each channel with coefficients of its own
 // RECONSTRUCT_SELECT   one stored column per channel, scaled
@@ -34,6 +35,9 @@ layout(std140, binding = 0) uniform Coefficients { vec4 coefficients[COEFFICIENT
 #ifdef RECONSTRUCT_FIELD
 #include "field.glsl"
 #endif
+#ifdef RECONSTRUCT_CLUSTERS
+#include "clusters.glsl"
+#endif
 
 vec3 reconstruction(vec2 uv) {
 #if defined(RECONSTRUCT_BASIS)
@@ -48,6 +52,8 @@ vec3 reconstruction(vec2 uv) {
     for (int c = 0; c < 3; ++c) sum[c] += sqrt_4pi * stored(uv, BOUNCED + c * LAYERS).x;
 #endif
     return sum;
+#elif defined(RECONSTRUCT_CLUSTERS)
+    return clustered_light(uv);
 #elif defined(RECONSTRUCT_COUPLED)
     vec3 sum = vec3(0.0);
     for (int layer = 0; layer < LAYERS; ++layer) {

@@ -28,6 +28,9 @@ class MeasuredAsset(LoadedAsset):
         if reconstruct == "coupled":
             basis = channels_apart(basis, 4 * layers)
         defines = {f"RECONSTRUCT_{reconstruct.upper()}": 1, "LAYERS": layers, **self.transfer_pass.defines}
+        if reconstruct == "clusters":  # which cluster a texel belongs to lies behind its functions
+            defines |= {"CLUSTER_BASIS": basis.shape[1], "LAYERS": basis.shape[1] // 4 + 1}
+            basis = np.concatenate([basis, asset.arrays["cluster"][:, None]], axis=1)
         super().__init__(runtime, asset, defines)
         self._basis = BasisTexture(runtime, basis)
         check(runtime.context, f"loading {asset.path}")
@@ -36,7 +39,7 @@ class MeasuredAsset(LoadedAsset):
     def runs(asset: RuntimeAsset) -> bool:
         """Direct light, and a basis in a texture."""
         reconstruct = asset.kernels["reconstruct"].removeprefix("gamma-")
-        return asset.kernels["measure"] == "direct" and reconstruct in ("basis", "coupled", "select")
+        return asset.kernels["measure"] == "direct" and reconstruct in ("basis", "clusters", "coupled", "select")
 
     def measure(self, lights: UploadedLights) -> None:
         """Direct light at the measurement points."""

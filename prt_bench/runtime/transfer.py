@@ -24,7 +24,7 @@ class TransferPass:
     def __init__(self, context: moderngl.Context, asset: RuntimeAsset, measure: MeasurePass) -> None:
         self._context, self._measure = context, measure
         self.kernel = asset.kernels["transfer"].removeprefix("gamma-")
-        stored = "basis" if "basis" in asset.arrays else "weights"
+        stored = "weights" if "weights" in asset.arrays else "basis"
         self.basis = asset.arrays[stored].shape[-1 if stored == "basis" else -2]
         gamma = asset.arrays.get("gamma")
         if self.kernel in ("linear", "coupled", "residual"):

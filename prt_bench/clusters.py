@@ -1,0 +1,57 @@
+"""Clusters of surface points: roots that are spread evenly over a surface, and the root that every point belongs to.
+
+Nearness is that of place and normal together, so that a cluster reaches neither through a thin wall nor round a corner. What is
+stored for clusters lives in `clustered.py`; particles that find points without a lightmap are in `data_gen/particles.py`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from prt_bench.errors import FitError
+from prt_bench.points import SurfacePoints
+
+
+class Clusters(NamedTuple):
+    """P roots in feature space [P, 6], position in m and normal times `bend`; every point is within `radius` of one of them.
+
+    `chosen` [P] are the points that became roots.
+    """
+
+    roots: Float[np.ndarray, "P 6"]
+    bend: float
+    radius: float
+    chosen: Int[np.ndarray, " P"]
+
+    def __len__(self) -> int:
+        return len(self.roots)
+
+    def owner(self, points: SurfacePoints) -> Int[np.ndarray, " p"]:
+        """The cluster of each of some points, whichever they are: the one with the nearest root."""
+        return KDTree(self.roots).query(_features(points, self.bend))[1]
+
+
+def clusters_of(points: SurfacePoints, count: int, bend: float, radius: float = 0.0) -> Clusters:
+    """Up to `count` roots among the points, fewer where all points are within `radius`, in m, of one sooner.
+
+    Each root is the point that is farthest from those before it (Gonzalez 1985, "Clustering to minimize the maximum
+    intercluster distance"), so no two are closer than the radius that is left: what thinning by that radius keeps. The first
+    is nearest to the middle. `bend` in m is the distance that normals at right angles count for, over √2. Deterministic.
+    Raises `FitError` where there is no point.
+    """
+    if not len(points):
+        raise FitError("there are no points to form clusters of; give at least one receiver")
+    features = _features(points, bend)
+    middle = np.linalg.norm(features[:, :3] - features[:, :3].mean(axis=0), axis=1)
+    chosen = [int(np.argmin(middle))]
+    distance = np.linalg.norm(features - features[chosen[0]], axis=1)
+    while len(chosen) < count and distance.max() > radius:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return Clusters(features[chosen], bend, float(distance.max()), np.array(chosen))
+
+
+def _features(points: SurfacePoints, bend: float) -> Float[np.ndarray, "p 6"]:
+    return np.hstack([points.position, bend * points.normal]).astype(float)
