@@ -11,12 +11,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+import scipy.sparse.linalg
 from jaxtyping import Array, Bool, Float
 
 _Factors = tuple[Array, Array, Array]
 
 _GRAM_NOISE = 16.0
 """Squared singular values under this many n · eps · σ₁² are rounding of the Gram matrix."""
+_FEW = 6
+"""From matrices this many times larger than what is asked for, Lanczos is faster than a full decomposition."""
 
 
 def safe_norm(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
@@ -157,6 +162,27 @@ def fewer_columns(matrix: Float[Array, "m n"]) -> Float[Array, "m k"]:
     By Householder reflections, so nothing is squared. Differentiable where the rank is full.
     """
     return jnp.linalg.qr(matrix.T, mode="r").T
+
+
+def principal_rows(matrix: Float[np.ndarray, "n d"], count: int) -> Float[np.ndarray, "k d"]:
+    """Up to `count` leading right singular vectors as rows, in NumPy and of the smaller Gram matrix: for many large matrices.
+
+    By Lanczos where few of many are asked for, from a fixed start. Singular values under 1e-7 of the largest are taken for
+    rounding and have none. Values only, never differentiated.
+    """
+    tall = matrix.shape[0] > matrix.shape[1]
+    gram = matrix.T @ matrix if tall else matrix @ matrix.T
+    size, energy = len(gram), np.trace(gram)
+    if energy == 0:
+        return np.zeros((0, matrix.shape[1]))
+    if _FEW * count < size:
+        start = np.random.default_rng(size).normal(size=size)
+        squares, vectors = scipy.sparse.linalg.eigsh(gram / energy, count, v0=start)
+    else:
+        squares, vectors = scipy.linalg.eigh(gram / energy, subset_by_index=(max(size - count, 0), size - 1))
+    kept = squares > 1e-14 * squares[-1]
+    found = vectors[:, kept][:, ::-1]
+    return np.linalg.qr(found if tall else matrix.T @ found)[0].T
 
 
 def cut_gap(values: Float[Array, " n"], count: int) -> float:

@@ -1,7 +1,6 @@
 """Clustered PCA: direct light of each cluster on principal components of its own, which are sent into the scene one by one."""
 
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import jax
@@ -14,7 +13,7 @@ from prt_bench.clustered import ClusteredModel
 from prt_bench.clusters import clusters_of
 from prt_bench.dataset import LightingDataset
 from prt_bench.errors import DatasetError, FitError
-from prt_bench.linalg import fewer_columns, leading_basis, relative_damping, ridge, rounding_floor, safe_norm
+from prt_bench.linalg import fewer_columns, principal_rows, relative_damping, ridge, safe_norm
 from prt_bench.methods.base import Method
 from prt_bench.methods.examples import Examples, column_scale, normalised, training_light
 from prt_bench.methods.operator import fit_albedo, respond
@@ -96,22 +95,15 @@ def bases_of_clusters(
 ) -> Float[np.ndarray, "P K"]:
     """The `size` leading left singular vectors of the rows of each cluster; zeros where it has no such rank.
 
-    The values at a point are those of its own cluster's vectors, which are orthonormal. Float64, of data that came in
-    float32; not differentiable.
+    The values at a point are those of its own cluster's vectors, which are orthonormal. Float64; not differentiable.
     """
-    members = [np.flatnonzero(owner == cluster) for cluster in range(count)]
-    most = max(map(len, members))
     out = np.zeros((len(owner), size))
-    for rows in members:
-        padded = np.pad(columns[rows].astype(np.float64), ((0, most - len(rows)), (0, 0)))  # one shape to compile for
-        found = np.asarray(_leading(padded, size))[: len(rows)]
-        out[rows, : found.shape[1]] = found
+    for cluster in range(count):
+        rows = np.flatnonzero(owner == cluster)
+        if len(rows):
+            found = principal_rows(columns[rows].T.astype(np.float64), size).T
+            out[rows, : found.shape[1]] = found
     return out
-
-
-@partial(jax.jit, static_argnames="size")
-def _leading(rows: Float[Array, "p n"], size: int) -> Float[Array, "p K"]:
-    return leading_basis(fewer_columns(rows), size, rounding_floor(rows, jnp.float32))[0]
 
 
 def apart(basis: Float[np.ndarray, "P K"], owner: Int[np.ndarray, " P"], count: int) -> Float[np.ndarray, "P Q"]:

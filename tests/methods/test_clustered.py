@@ -12,7 +12,7 @@ from prt_bench.clustered import ClusteredModel
 from prt_bench.clusters import clusters_of
 from prt_bench.errors import FitError
 from prt_bench.example import example_dataset
-from prt_bench.linalg import fewer_columns
+from prt_bench.linalg import fewer_columns, principal_rows
 from prt_bench.methods.clustered_pca import apart, bases_of_clusters, in_clusters
 from prt_bench.methods.operator import fit_albedo, importance
 from prt_bench.points import SurfacePoints
@@ -74,6 +74,16 @@ def test_fewer_columns_keep_the_outer_product():
         found = np.asarray(fewer_columns(jnp.asarray(matrix)))
         assert found.shape == (shape[0], 5)
         np.testing.assert_allclose(found @ found.T, matrix @ matrix.T, atol=1e-12)
+
+
+def test_principal_rows_are_singular_vectors_few_of_many_and_all():
+    rng = np.random.default_rng(0)
+    for shape, count in (((90, 60), 4), ((60, 90), 4), ((9, 20), 5), ((20, 9), 30)):
+        matrix = rng.normal(size=shape) * np.linspace(1, 2, shape[1])
+        found, vt = principal_rows(matrix, count), np.linalg.svd(matrix, full_matrices=False)[2][:count]
+        np.testing.assert_allclose(found.T @ found, vt.T @ vt, atol=1e-8)
+    assert principal_rows(np.zeros((3, 5)), 2).shape == (0, 5)
+    assert principal_rows(np.outer(np.arange(9.0), np.ones(7)), 3).shape == (1, 7)
 
 
 def test_span_is_what_reconstruct_multiplies():

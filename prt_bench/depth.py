@@ -1,0 +1,131 @@
+"""Visibility of local lights from compressed hemispheres of depth: principal components of each cluster's depth buffers.
+
+Light anywhere in the scene is compared with the depth along its direction, so that no shadow map is drawn. Who traces the
+buffers is in `data_gen/meshless.py`; how entries are dropped and quantised is in `prt_bench/packing.py`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from prt_bench.errors import FitError
+from prt_bench.linalg import principal_rows
+from prt_bench.points import SurfacePoints
+
+_CORNERS = 4
+_PAIRS = 1 << 15  # pairs of sample and light at once
+
+
+def hemisphere_directions(count: int) -> Float[np.ndarray, "d 3"]:
+    """`count` unit directions about z, of equal solid angle, on a spiral of golden angles."""
+    index = np.arange(count) + 0.5
+    z, angle = 1.0 - index / count, np.pi * (1.0 + np.sqrt(5.0)) * index
+    ring = np.sqrt(1.0 - z**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+
+
+def frames(normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3 3"]:
+    """Rows (tangent, bitangent, normal): the shortest turn from z to the normal, from −z to those that point down.
+
+    Neighbours on a surface so get frames that are alike. Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
+    """
+    x, y, z = normal.T
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    tangent = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    bitangent = np.stack([b, sign + y * y * a, -y], axis=1)
+    return np.stack([tangent, bitangent, normal], axis=1)
+
+
+class ClusteredVisibility(NamedTuple):
+    """Depth of each sample as `mean` [P, d] of its cluster plus `coefficients` [S, K] on its cluster's `basis` [P, K, d].
+
+    What is stored of a distance r is 1 / (r + `near`), in 1/m: 0 where a ray escapes, and bounded at corners. Being affine it
+    keeps the paper's mean: depth has no intensity, so that nothing has to scale. `directions` [d, 3] are about each sample's
+    normal. After "clustered PCA with local lights", eqs. 7 to 9 and Section 4.2.
+    """
+
+    directions: Float[np.ndarray, "d 3"]
+    cluster: Int[np.ndarray, " S"]
+    mean: Float[np.ndarray, "P d"]
+    basis: Float[np.ndarray, "P K d"]
+    coefficients: Float[np.ndarray, "S K"]
+    near: float
+
+    @classmethod
+    def fit(
+        cls,
+        depth: Float[np.ndarray, "S d"],
+        directions: Float[np.ndarray, "d 3"],
+        cluster: Int[np.ndarray, " S"],
+        size: int,
+        near: float,
+    ) -> "ClusteredVisibility":
+        """`size` principal components of each cluster's buffers. Raises `FitError` for NaN and for sizes below 1."""
+        if size < 1 or near <= 0:
+            raise FitError(
+                f"visibility has {size} components and a nearest distance of {near:g} m; both must be positive"
+            )
+        if np.isnan(depth).any():
+            raise FitError("depth buffers hold NaN; trace them again")
+        count = int(cluster.max()) + 1
+        mean, basis = np.zeros((count, depth.shape[1])), np.zeros((count, size, depth.shape[1]))
+        coefficients = np.zeros((len(depth), size))
+        for index in range(count):
+            rows = np.flatnonzero(cluster == index)
+            if not len(rows):
+                continue
+            stored = 1.0 / (depth[rows].astype(np.float64) + near)
+            mean[index] = stored.mean(axis=0)
+            centred = stored - mean[index]
+            found = principal_rows(centred, size)
+            basis[index, : len(found)] = found
+            coefficients[rows] = centred @ basis[index].T
+        return cls(directions, cluster, mean, basis, coefficients, near)
+
+    def truncated(self, size: int) -> "ClusteredVisibility":
+        """The same with the first `size` components."""
+        return self._replace(basis=self.basis[:, :size], coefficients=self.coefficients[:, :size])
+
+    def lit(
+        self, points: SurfacePoints, lights: Float[np.ndarray, "L 3"], slack: float = 0.05
+    ) -> Float[np.ndarray, "L S"]:
+        """How much of point lights at `lights` each sample sees, from 0 to 1; 0 for lights below its horizon.
+
+        The depths along the four nearest directions are compared with the light's distance, each by itself, and weighted
+        by nearness: a shadow's edge is as soft as the directions are apart. A light counts as seen up to `slack` of its
+        distance behind the surface.
+        """
+        tree, turn = KDTree(self.directions), frames(points.normal)
+        out = np.zeros((len(lights), len(points)))
+        for row, light in enumerate(lights):
+            away = light - points.position
+            distance = np.linalg.norm(away, axis=1)
+            local = np.einsum("pdx,px->pd", turn, away / distance[:, None])
+            above = np.flatnonzero(local[:, 2] > 0)
+            gap, near = tree.query(local[above], k=_CORNERS)
+            weight = 1.0 / (gap + 1e-6)
+            limit = 1.0 / ((1.0 - slack) * distance[above] + self.near)
+            seen = self.stored(above, near) <= limit[:, None]
+            out[row, above] = (weight * seen).sum(axis=1) / weight.sum(axis=1)
+        return out
+
+    def stored(self, samples: Int[np.ndarray, " n"], chosen: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """Reconstructed 1 / (r + near) of some samples along some of the directions."""
+        owner = self.cluster[samples]
+        out = np.empty(chosen.shape)
+        for start in range(0, len(samples), _PAIRS):
+            rows = slice(start, start + _PAIRS)
+            part = self.basis[owner[rows, None], :, chosen[rows]]
+            out[rows] = np.einsum("nkb,nb->nk", part, self.coefficients[samples[rows]])
+        return out + self.mean[owner[:, None], chosen]
+
+
+def shadow_error(
+    found: Float[np.ndarray, "L S"], wanted: Bool[np.ndarray, "L S"], weight: Float[np.ndarray, "L S"]
+) -> float:
+    """‖weight · (found − wanted)‖ / ‖weight · wanted‖: the relative error of direct light; `weight` is what is unshadowed."""
+    return float(np.linalg.norm(weight * (found - wanted)) / np.linalg.norm(weight * wanted))
