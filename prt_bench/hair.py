@@ -18,10 +18,12 @@ its integral over ω_i is exact, so that white fibres keep light that is the sam
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.special import i0e
 
 from prt_bench.errors import SceneError
@@ -31,6 +33,10 @@ LOBES = 4
 LEAST_VARIANCE, MOST_VARIANCE = 1e-7, 10.0
 LEAST_SCALE, MOST_SCALE = 1e-4, 10.0
 _ACROSS = 128  # nodes of the quadrature over h and over inclinations
+_SERIES = (1 / 2, 1 / 8, 1 / 8, 25 / 128, 13 / 32, 1073 / 1024)
+"""1 − I₁(x)/I₀(x) by powers of 1/x: quotient of the expansions for large x (Abramowitz and Stegun, 9.7.1)."""
+_FAR = 50.0
+"""From where that series is taken: the next term is below 1e-9 of it."""
 
 
 class Inclination(NamedTuple):
@@ -130,18 +136,35 @@ def absorption_of(colour: Triple, azimuthal: float = 0.3) -> Triple:
     return (*(float(value) for value in (np.log(values) / curve) ** 2),)  # pyright: ignore[reportReturnType]
 
 
-def longitudinal(
-    into: Inclination, out: Inclination, variance: float | Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    """M(θ_i, θ_o) with ∫ M cosθ_i dθ_i = 1, in the arguments' precision (d'Eon et al. 2011, Equation 7).
+def longitudinal(into: Inclination, out: Inclination, variance: Any) -> Any:
+    """M(θ_i, θ_o) [n] with ∫ M cosθ_i dθ_i = 1, in the arguments' precision (d'Eon et al. 2011, Equation 7).
 
     exp(−s_i s_o / v) I₀(c_i c_o / v) / (2 v sinh(1/v)) overflows below v ≈ 0.1 in float32 as printed. With I₀ scaled by its own
-    exponential the exponents add up to (cos(θ_i + θ_o) − 1) / v ≤ 0, and cos − 1 is a square.
+    exponential the exponents add up to (cos(θ_i + θ_o) − 1) / v ≤ 0, and cos − 1 is a square. Given arrays of NumPy it gives
+    one; given any of JAX it gives one of JAX, differentiable in the variance and in both inclinations.
     """
-    product = into.cosine * out.cosine
+    product = into.cosine * out.cosine / variance
+    lib, bessel = (jnp, scaled_bessel) if isinstance(product, jax.Array) else (np, i0e)
     # 1 − cos(θ_i + θ_o) is half the squared chord between the direction and the mirrored other: no digits cancel.
     chord = (into.sine + out.sine) ** 2 + (into.cosine - out.cosine) ** 2
-    return i0e(product / variance) * np.exp(-0.5 * chord / variance) / (variance * -np.expm1(-2.0 / variance))
+    return bessel(product) * lib.exp(-0.5 * chord / variance) / (variance * -lib.expm1(-2.0 / variance))
+
+
+@jax.custom_jvp
+def scaled_bessel(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """exp(−x) I₀(x) for x ≥ 0. Its slope is −exp(−x) I₀(x) times 1 − I₁(x)/I₀(x), which cancels where x is large."""
+    return jax.scipy.special.i0e(x)
+
+
+@scaled_bessel.defjvp
+def _bessel_slope(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (x,), (change,) = primals, tangents
+    value, inverse = jax.scipy.special.i0e(x), 1.0 / jnp.maximum(x, _FAR)
+    series = jnp.zeros_like(x)
+    for term in reversed(_SERIES):
+        series = (series + term) * inverse
+    lost = jnp.where(x > _FAR, series, 1.0 - jax.scipy.special.i1e(x) / value)
+    return value, -value * lost * change
 
 
 def azimuthal(angle: Float[np.ndarray, " n"], scale: float | Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
