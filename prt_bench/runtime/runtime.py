@@ -1,5 +1,7 @@
 """The runtime: loads any asset for one baked scene and runs shadow → measure → transfer → draw."""
 
+from collections.abc import Sequence
+
 import moderngl
 import numpy as np
 from jaxtyping import Float
@@ -7,8 +9,10 @@ from jaxtyping import Float
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
 from prt_bench.errors import AssetError
+from prt_bench.irradiance_volume import ProbeVolume
 from prt_bench.lights import Lighting
 from prt_bench.runtime import shaders
+from prt_bench.runtime.bodies import Body, ProbeLight
 from prt_bench.runtime.context import check, headless, is_software, renderer
 from prt_bench.runtime.draw import DrawPass, Screen
 from prt_bench.runtime.field import FieldAsset, HarmonicFieldAsset
@@ -22,7 +26,7 @@ from prt_bench.runtime.measured import MeasuredAsset
 from prt_bench.runtime.mesh import MeshBuffers
 from prt_bench.runtime.projection import camera_matrix
 from prt_bench.runtime.shadow import ShadowPass
-from prt_bench.scene import Camera
+from prt_bench.scene import Camera, Mesh
 
 DEPTH_OFFSET = 0.25
 """How far before its receiver an occluder must lie to cast a shadow, in shadow texels."""
@@ -102,6 +106,14 @@ class Runtime:
         """Indirect irradiance given per receiver, for frames of a reference or of any prediction."""
         return PlainLightmap(self, irradiance)
 
+    def probes(self, volume: ProbeVolume, asset: RuntimeAsset | None = None) -> ProbeLight:
+        """Upload an irradiance volume for bodies that move; see `ProbeLight` for what lights it and what it refuses."""
+        return ProbeLight(self, volume, asset)
+
+    def body(self, mesh: Mesh, albedo: tuple[float, float, float], light: ProbeLight) -> Body:
+        """Upload a diffuse mesh that moves, lit by `light` and directly; give it to frames. See `Body`."""
+        return Body(self, mesh, albedo, light, {**self._lighting_defines, "DIRECT": 1})
+
     def measure(self, lighting: Lighting | UploadedLights) -> Float[np.ndarray, "M 3"]:
         """The measured vector of a lighting, with shadow maps, W/m²."""
         lights = self._uploaded(lighting)
@@ -111,13 +123,17 @@ class Runtime:
         return self.measurement.read()
 
     def frame(
-        self, lighting: Lighting | UploadedLights, indirect: Indirect | None = None, direct: bool = True
+        self,
+        lighting: Lighting | UploadedLights,
+        indirect: Indirect | None = None,
+        direct: bool = True,
+        bodies: Sequence[Body] = (),
     ) -> Float[np.ndarray, "H W 3"]:
         """Radiance of a frame [H, W, 3], top row first, W/m²/sr: with direct light, `indirect` light, or both.
 
-        Raises `ValueError` for neither.
+        `bodies` are drawn in it with the same parts of light, the indirect one from probes. Raises `ValueError` for neither.
         """
-        self.draw(self._uploaded(lighting), indirect, direct)
+        self.draw(self._uploaded(lighting), indirect, direct, bodies=bodies)
         check(self.context, "drawing a frame")
         return self.screen.read_linear()
 
@@ -127,27 +143,42 @@ class Runtime:
         indirect: Indirect | None = None,
         direct: bool = True,
         exposure: float = 0.0,
+        bodies: Sequence[Body] = (),
     ) -> np.ndarray:
         """The same frame tone-mapped on the GPU: 8-bit sRGB [H, W, 3] of radiance · 2^exposure."""
-        self.draw(self._uploaded(lighting), indirect, direct, exposure)
+        self.draw(self._uploaded(lighting), indirect, direct, exposure, bodies)
         check(self.context, "drawing a picture")
         return self.screen.read_picture()
 
     def draw(
-        self, lights: UploadedLights, indirect: Indirect | None = None, direct: bool = True, exposure: float = 0.0
+        self,
+        lights: UploadedLights,
+        indirect: Indirect | None = None,
+        direct: bool = True,
+        exposure: float = 0.0,
+        bodies: Sequence[Body] = (),
     ) -> None:
         """All passes of one frame, as a user would run them: what `frame` reads back and timing times.
 
-        An asset that includes direct light is drawn without any other, and needs no shadow maps.
+        An asset that includes direct light is drawn without any other, and needs no shadow maps but for `bodies`.
         """
-        if indirect is None or indirect.needs_shadows:
+        if indirect is None or indirect.needs_shadows or bodies:
             self.shadows.run(lights)
         if indirect is not None:
             indirect.prepare(lights)
-        self.shade(lights, indirect, direct, exposure)
+        measured = isinstance(indirect, MeasuredAsset)
+        for light in {id(body.light): body.light for body in bodies if indirect is not None}.values():
+            light.prepare(lights, measured)
+            measured = True
+        self.shade(lights, indirect, direct, exposure, bodies)
 
     def shade(
-        self, lights: UploadedLights, indirect: Indirect | None = None, direct: bool = True, exposure: float = 0.0
+        self,
+        lights: UploadedLights,
+        indirect: Indirect | None = None,
+        direct: bool = True,
+        exposure: float = 0.0,
+        bodies: Sequence[Body] = (),
     ) -> None:
         """The draw pass and the tone map alone, of what the passes before left."""
         if indirect is not None:
@@ -160,6 +191,8 @@ class Runtime:
         lights.bind()
         self.shadows.bind()
         pass_.run(self.screen, self._camera, lights)
+        for body in bodies:
+            body.draw(self._camera, direct, indirect is not None)
         self.screen.tone_map(exposure)
 
     def draw_pass(self, defines: shaders.Defines) -> DrawPass:

@@ -9,8 +9,10 @@ import pytest
 
 import prt_bench as prt
 from data_gen.reference import indirect_irradiance
-from prt_bench.errors import LightError, SpecError
+from prt_bench.errors import LightError, RuntimeUnavailable, SpecError
 from prt_bench.irradiance_volume import ORDER, ProbeVolume, normals, places
+from prt_bench.runtime import Runtime
+from prt_bench.scene import Mesh
 from prt_bench.spherical.harmonics import bands, evaluate
 
 SMALL: dict[str, Any] = {
@@ -28,6 +30,13 @@ LAMP = prt.Lighting([prt.PointLight([0.0, 1.6, 0.2], (10.0, 8.0, 6.0))])
 @pytest.fixture(scope="module")
 def cornell(tmp_path_factory: pytest.TempPathFactory) -> prt.LightingDataset:
     return prt.bake(prt.load_scene("cornell"), **SMALL, out=tmp_path_factory.mktemp("probes"))
+
+
+@pytest.fixture(scope="module")
+def aired(cornell: prt.LightingDataset) -> tuple[Any, prt.LightingDataset]:
+    """Probes of the room, and their dataset."""
+    probes = prt.probes(cornell, (3, 3, 3), rays=32)
+    return probes, probes.dataset(cornell)
 
 
 def test_uniform_light_and_a_distant_lamp_have_their_closed_forms() -> None:
@@ -77,9 +86,10 @@ def test_light_adds_up(cornell: prt.LightingDataset) -> None:
     np.testing.assert_allclose(parts[2], parts[0] + parts[1], rtol=1e-4, atol=1e-5 * float(jnp.abs(parts).max()))
 
 
-def test_a_method_predicts_probes_from_the_light_it_measures(cornell: prt.LightingDataset) -> None:
-    probes = prt.probes(cornell, (3, 3, 3), rays=32)
-    ds = probes.dataset(cornell)
+def test_a_method_predicts_probes_from_the_light_it_measures(
+    cornell: prt.LightingDataset, aired: tuple[Any, prt.LightingDataset]
+) -> None:
+    probes, ds = aired
     test = ds.split("test")
     np.testing.assert_array_equal(test.measured, cornell.split("test").measured)
     assert test.indirect.shape[1] == 27 * len(normals()[0])
@@ -153,3 +163,34 @@ def test_translucent_bodies_light_the_air(tmp_path: Path) -> None:
     lit = probes.light(ds.split("test").lightings[:4]).coefficients[:, :, 0]
     assert np.all(np.isfinite(lit))
     assert float(lit.mean()) > 0
+
+
+@pytest.mark.gl
+def test_a_fitted_asset_lights_a_body_as_its_model_does(
+    cornell: prt.LightingDataset, aired: tuple[Any, prt.LightingDataset], tmp_path: Path
+) -> None:
+    """From traced probes to a frame: the light that the runtime measures predicts what a body in it receives."""
+    try:
+        runtime = Runtime(cornell, size=(48, 36), shadow_resolution=512)
+    except RuntimeUnavailable as error:
+        pytest.skip(str(error))
+    probes, lit = aired
+    asset = prt.method("svd-ridge", basis=6).fit(lit.split("train")).export(tmp_path / "probes")
+    room = prt.method("svd-ridge", basis=6).fit(cornell.split("train")).export(tmp_path / "room")
+    test, model = lit.split("test"), asset.model()
+    light = runtime.probes(probes.volume(test.indirect[:1]), asset)
+    card = np.array([[-0.3, 0.9, 0.2], [0.3, 0.9, 0.2], [0.3, 1.5, 0.2], [-0.3, 1.5, 0.2]])
+    body = runtime.body(Mesh(card, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int)), (0.8, 0.5, 0.3), light)
+    with_body, without = (
+        runtime.frame(test.lightings[0], runtime.load(room), bodies=bodies) for bodies in ([body], [])
+    )
+    assert np.all(np.isfinite(with_body))
+    assert 0.01 < np.mean(np.any(with_body != without, axis=2)) < 0.5
+    shown = light.read()
+    for found, x in (
+        (shown, runtime.measure(test.lightings[0])),
+        (light.predict(np.asarray(test.measured[0])), np.asarray(test.measured[0])),
+    ):
+        received = model.reconstruct(model.transfer(jnp.asarray(x[None], jnp.float32)))
+        expected = np.asarray(probes.volume(np.asarray(received)).coefficients[0])
+        assert np.abs(found - expected).max() <= 1e-3 * np.abs(expected).max()
