@@ -48,7 +48,7 @@ class LightPass:
         return self.emitters.position.shape[0]
 
     @cached_property
-    def _halves(self) -> list[Float[Array, "S N C"]]:
+    def sent(self) -> list[Float[Array, "S N C"]]:
         """Radiosity of the gather samples after all bounces but the last, from each half of the rays."""
         samples = self.transport.samples
         albedo = jnp.asarray(samples.albedo[:, : self.channels], jnp.float32)
@@ -65,7 +65,7 @@ class LightPass:
     def _arriving(self) -> list[Float[Array, "S N C"]]:
         """All light at the gather samples, which enters translucent bodies, from each half of the rays."""
         direct = jnp.asarray(self._direct(self.transport.samples))
-        return [irradiance(self.transport.sample_gather(half), direct, self._halves[half]) for half in (0, 1)]
+        return [irradiance(self.transport.sample_gather(half), direct, self.sent[half]) for half in (0, 1)]
 
     @cached_property
     def _at_nodes(self) -> list[Float[np.ndarray, "N J C"]]:
@@ -76,7 +76,7 @@ class LightPass:
             np.concatenate(
                 [np.asarray(final_gather(traced.receiver_gather(rows, half), light)) for rows in parts], axis=1
             )
-            for half, light in enumerate(self._halves)
+            for half, light in enumerate(self.sent)
         ]
 
     def receive(self, rows: slice) -> Received:
@@ -96,7 +96,7 @@ class LightPass:
 
     def _gathered(self, rows: slice, half: int) -> Float[Array, "N P C"]:
         if self.transport.nodes is None:
-            return final_gather(self.transport.receiver_gather(rows, half), self._halves[half])
+            return final_gather(self.transport.receiver_gather(rows, half), self.sent[half])
         at_nodes = np.moveaxis(self._at_nodes[half], 1, 0)
         return jnp.asarray(np.moveaxis(self.transport.spread(at_nodes, rows), 0, 1))
 

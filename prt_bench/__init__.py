@@ -41,6 +41,7 @@ _ON_FIRST_USE = {
     "bake_animation": "data_gen.animation",
     "keyframe_times": "data_gen.animation",
     "probes": "data_gen.effects.probes",
+    "directional": "data_gen.effects.directional",
     "seen": "data_gen.direct",
     "skips": "data_gen.skips",
 }
@@ -61,6 +62,7 @@ __all__ = [
     "SpotLight",
     "bake",
     "bake_animation",
+    "directional",
     "evaluate",
     "fit_keyframes",
     "keyframe_times",

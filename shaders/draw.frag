@@ -1,4 +1,5 @@
-// Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds. DIRECT, INDIRECT,
+// Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds, of light stored as
+// transfer or as coefficients of its own (DIRECTIONAL). DIRECT, INDIRECT,
 // SHADOWS, GLOSSY and images of ALBEDO, ROUGHNESS and NORMAL compile their part in. Where bodies are TRANSLUCENT, indirect light
 // is what leaves them over their colour, and that multiplies it. HAIR scatters direct light as fibres do.
 #ifdef DIRECT
@@ -8,7 +9,11 @@
 #include "reconstruct.glsl"
 #endif
 #ifdef GLOSSY
+#ifdef DIRECTIONAL
+#include "directional.glsl"
+#else
 #include "glossy.glsl"
+#endif
 #endif
 #ifdef HAIR
 #ifdef DIRECT
@@ -109,6 +114,11 @@ void main() {
 #endif
         vec3 mirror = reflect(normalize(position - eye), facing);
         radiance.rgb += specular * max(gloss(lightmap_uv, mirror, sharpness), vec3(0.0));
+#ifdef DIRECTIONAL
+#ifdef DIRECT
+        radiance.rgb += specular * gloss_of_emitters(position, facing, mirror, sharpness);
+#endif
+#endif
     }
 #endif
 }

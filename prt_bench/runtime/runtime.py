@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import moderngl
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prt_bench.assets import RuntimeAsset
 from prt_bench.dataset import LightingDataset
@@ -17,6 +17,7 @@ from prt_bench.runtime.context import check, headless, is_software, renderer
 from prt_bench.runtime.draw import DrawPass, Screen
 from prt_bench.runtime.field import FieldAsset, HarmonicFieldAsset
 from prt_bench.runtime.glossy import GlossyAsset
+from prt_bench.runtime.glossy_indirect import GlossyIndirect
 from prt_bench.runtime.harmonics import HarmonicAsset, VertexAsset
 from prt_bench.runtime.indirect import Indirect, LoadedAsset, PlainLightmap
 from prt_bench.runtime.lightmap import LightmapLayout
@@ -105,6 +106,11 @@ class Runtime:
     def lightmap(self, irradiance: Float[np.ndarray, "T C"]) -> PlainLightmap:
         """Indirect irradiance given per receiver, for frames of a reference or of any prediction."""
         return PlainLightmap(self, irradiance)
+
+    def glossy(self, diffuse: Indirect, asset: RuntimeAsset, rows: Int[np.ndarray, " G"]) -> GlossyIndirect:
+        """`diffuse` light with lobes of the glossy receivers `rows` beside it, by an asset of directional light. See
+        `GlossyIndirect`."""
+        return GlossyIndirect(self, diffuse, asset, rows)
 
     def probes(self, volume: ProbeVolume, asset: RuntimeAsset | None = None) -> ProbeLight:
         """Upload an irradiance volume for bodies that move; see `ProbeLight` for what lights it and what it refuses."""
