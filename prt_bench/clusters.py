@@ -30,7 +30,7 @@ class Clusters(NamedTuple):
 
     def owner(self, points: SurfacePoints) -> Int[np.ndarray, " p"]:
         """The cluster of each of some points, whichever they are: the one with the nearest root."""
-        return KDTree(self.roots).query(_features(points, self.bend))[1]
+        return np.asarray(KDTree(self.roots).query(_features(points, self.bend))[1])
 
 
 def clusters_of(points: SurfacePoints, count: int, bend: float, radius: float = 0.0) -> Clusters:

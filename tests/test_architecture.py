@@ -32,6 +32,8 @@ READ_BY_BAKE = (
     "spherical",
     "points",
     "irradiance_volume",
+    "glossy_indirect",
+    "depth",
     "transport",
     "walks",
     "dataset",
