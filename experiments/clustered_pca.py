@@ -8,13 +8,16 @@ on a lightmap by registered methods, with as many functions.
 
     python experiments/clustered_pca.py [--radius 0.088] [--clusters 48] [--rays 64] [--lights 1000] [--directions 2016 504 126]
 
-Draws samples, clusters, shadows and light. Errors are relative to the norm over all samples and lamps.
+Draws samples, clusters, shadows and light from above, and frames of the lightmap's assets. Errors are relative to the norm over
+all samples and lamps.
 """
 
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -22,6 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _frames import arguments, table
 from jaxtyping import Float
+from matplotlib.colors import hsv_to_rgb
 
 import prt_bench as prt
 from data_gen.direct import direct_irradiance, visibility
@@ -31,12 +35,14 @@ from data_gen.scenarios import sample_lightings
 from data_gen.tracer import Tracer
 from prt_bench.clusters import Clusters, clusters_of
 from prt_bench.depth import ClusteredVisibility, hemisphere_directions, shadow_error
+from prt_bench.images import exposure_for, tone_map
 from prt_bench.lights import emitters
 from prt_bench.linalg import fewer_columns, principal_rows
 from prt_bench.methods.clustered_pca import apart, bases_of_clusters, in_clusters
 from prt_bench.metrics import relative_norm
 from prt_bench.packing import packed, threshold
 from prt_bench.points import SurfacePoints
+from prt_bench.runtime.runtime import Runtime
 from prt_bench.transport import GatherOperator, indirect
 
 SCENE = "apartment"
@@ -44,7 +50,7 @@ START = (-3.0, 1.5, 2.3)
 SOURCES = RECEIVERS = 10
 COEFFICIENTS = 50
 SIZES = (10, 25, 50, 100)
-KEPT = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.025)
+KEPT = (1.0, 0.5, 0.25, 0.2, 0.1, 0.08, 0.05, 0.025)
 NEAR = 0.25  # m, see ClusteredVisibility
 BOUNCES = 12
 TESTED, AREA_TESTED, SIDE = 16, 4, 5  # lamps: points, and areas of 5² points
@@ -87,7 +93,7 @@ def stage(name: str) -> Iterator[None]:
 def main() -> None:
     parser = arguments(
         __doc__,
-        "clustered_pca.png",
+        "clustered_pca.webp",
         radius=0.084,
         clusters=48,
         rays=64,
@@ -187,14 +193,14 @@ def shadows(
     print(f"\narea lamps of {SIDE**2} points, {COEFFICIENTS} coefficients: error {error:.3f}\n")
     mean, rows = 2 * kept.mean.size, []
     # An error in a basis meets every sample of its cluster, times its coefficient.
-    functions = kept.basis.reshape(-1, kept.basis.shape[2]).T
+    functions = np.moveaxis(kept.basis, 1, 0).reshape(kept.basis.shape[1], -1)
     weight = np.zeros((len(kept.basis), COEFFICIENTS))
     np.add.at(weight, kept.cluster, kept.coefficients**2)
     weight = np.sqrt(weight).ravel()
     for share in KEPT:
         least = threshold(share, np.abs(kept.coefficients), np.abs(functions) * weight)
         parts = [packed(kept.coefficients, least), packed(functions, least, weight)]
-        basis = parts[1].unpacked().T.reshape(kept.basis.shape)
+        basis = np.moveaxis(parts[1].unpacked().reshape(-1, len(kept.basis), COEFFICIENTS), 0, 1)
         model = kept._replace(coefficients=parts[0].unpacked(), basis=basis)
         error = shadow_error(model.lit(points, places), cast, open_light)
         rows.append((f"{share:g}", f"{(mean + sum(part.bytes for part in parts)) / 1e6:.2f}", f"{error:.3f}"))
@@ -273,20 +279,38 @@ def relative(found: np.ndarray, wanted: np.ndarray) -> float:
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-def on_lightmap(scene: prt.Scene, settings: object) -> None:
-    """Registered methods with as many functions per receiver, on a bake of the same scene."""
+def on_lightmap(scene: prt.Scene, settings: Namespace) -> None:
+    """Registered methods with as many functions per receiver, on a bake of the same scene; frames beside the reference."""
     ds = prt.bake(scene, "point", 128, settings.texels, 64, measurements=768, seed=0, out=settings.data, streamed=1024)
-    test, rows = ds.split("test"), []
+    test, rows, frames = ds.split("test"), [], {}
+    nearest = np.linalg.norm(
+        [np.subtract(each.lights[0].position, scene.camera.target) for each in test.lightings], axis=1
+    ).argmin()
+    lamp, runtime = test.lightings[nearest], Runtime(test, size=(480, 360))
+    shown = runtime.frame(lamp, runtime.lightmap(test.indirect[nearest]))
+    exposure = exposure_for(shown, 0.9)
+    frames["operator"] = tone_map(shown, exposure)
     for name, more in (("svd-ridge", {}), ("streamed-ridge", {}), ("clustered-pca", {"clusters": settings.clusters})):
         method = prt.method(name, basis=RECEIVERS, **more)
         started = time.perf_counter()
         model = method.fit(ds.split("train"))
         took = time.perf_counter() - started
-        size = sum(array.size for array in model.arrays().values())
-        error = np.mean(relative_norm(np.asarray(model.predict(test)) - test.indirect, test.indirect))
-        rows.append((method.label, f"{error:.3f}", f"{4 * size / 1e6:.1f}", f"{took:.0f}"))
+        with TemporaryDirectory() as folder:
+            asset = model.export(Path(folder) / "asset", "float16")
+            loaded = runtime.load(asset)
+        frames[method.label] = tone_map(runtime.frame(lamp, loaded), exposure)
+        error = np.mean(relative_norm(asset.predict(test) - test.indirect, test.indirect))
+        stored = sum(asset.bytes.values()) / 1e6
+        rows.append((method.label, f"{error:.3f}", f"{stored:.2f}", f"{loaded.bytes / 1e6:.1f}", f"{took:.0f}"))
     print(f"\nlightmap of {len(ds.points)} receivers, 768 measurement points, noise floor {test.noise_floor:.3f}")
-    table(("method", "error", "MB in 32 bits", "fit, s"), rows)
+    table(("method", "error", "asset MB", "runtime MB", "fit s"), rows)
+    figure, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained")
+    for axis, (title, frame) in zip(axes.ravel(), frames.items(), strict=True):
+        axis.imshow(frame)
+        axis.set_title(title)
+        axis.set_axis_off()
+    figure.savefig(settings.out.with_stem(settings.out.stem + "_frames"), dpi=80)
+    plt.close(figure)
 
 
 def draw(path: Path, level: Level, lights: dict[str, np.ndarray]) -> None:
@@ -295,8 +319,10 @@ def draw(path: Path, level: Level, lights: dict[str, np.ndarray]) -> None:
     x, z = points.position[seen][:, [0, 2]].T
     figure, axes = plt.subplots(2, 3, figsize=(15, 8.2), layout="constrained")
     panels = axes.ravel()
-    colours = np.random.default_rng(3).permutation(len(level.clusters)) / len(level.clusters)
-    panels[0].scatter(x, z, c=plt.get_cmap("hsv")(colours[level.owner[seen]]), s=4, lw=0)
+    order = np.random.default_rng(3).permutation(len(level.clusters)) / len(level.clusters)
+    shade = np.where(np.arange(len(order)) % 2, 1.0, 0.65)
+    hues = hsv_to_rgb(np.stack([order, np.full_like(order, 0.75), shade], axis=1))
+    panels[0].scatter(x, z, c=hues[level.owner[seen]], s=5, lw=0)
     roots = points[level.clusters.chosen]
     above = roots.normal[:, 1] > 0.5
     panels[0].scatter(*roots.position[above][:, [0, 2]].T, c="white", edgecolors="black", s=36)
@@ -306,7 +332,7 @@ def draw(path: Path, level: Level, lights: dict[str, np.ndarray]) -> None:
         top = np.quantile(lights[names[0]][seen], 0.99)
         colour = np.clip(light[seen] / top, 0, 1) ** (1 / 2.2)
         colour = np.repeat(colour[:, None], 3, axis=1) if colour.ndim == 1 else colour
-        axis.scatter(x, z, c=colour, s=9, marker="s", lw=0)
+        axis.scatter(x, z, c=colour, s=26, marker="s", lw=0)
         axis.set_title(title)
     for axis in panels:
         axis.set(aspect="equal", xticks=[], yticks=[])

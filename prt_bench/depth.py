@@ -41,7 +41,7 @@ def frames(normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3 3"]:
 
 
 class ClusteredVisibility(NamedTuple):
-    """Depth of each sample as `mean` [P, d] of its cluster plus `coefficients` [S, K] on its cluster's `basis` [P, K, d].
+    """Depth of each sample as `mean` [P, d] of its cluster plus `coefficients` [S, K] on its cluster's `basis` [P, d, K].
 
     What is stored of a distance r is 1 / (r + `near`), in 1/m: 0 where a ray escapes, and bounded at corners. Being affine it
     keeps the paper's mean: depth has no intensity, so that nothing has to scale. `directions` [d, 3] are about each sample's
@@ -51,7 +51,7 @@ class ClusteredVisibility(NamedTuple):
     directions: Float[np.ndarray, "d 3"]
     cluster: Int[np.ndarray, " S"]
     mean: Float[np.ndarray, "P d"]
-    basis: Float[np.ndarray, "P K d"]
+    basis: Float[np.ndarray, "P d K"]
     coefficients: Float[np.ndarray, "S K"]
     near: float
 
@@ -72,7 +72,7 @@ class ClusteredVisibility(NamedTuple):
         if np.isnan(depth).any():
             raise FitError("depth buffers hold NaN; trace them again")
         count = int(cluster.max()) + 1
-        mean, basis = np.zeros((count, depth.shape[1])), np.zeros((count, size, depth.shape[1]))
+        mean, basis = np.zeros((count, depth.shape[1])), np.zeros((count, depth.shape[1], size))
         coefficients = np.zeros((len(depth), size))
         for index in range(count):
             rows = np.flatnonzero(cluster == index)
@@ -82,13 +82,15 @@ class ClusteredVisibility(NamedTuple):
             mean[index] = stored.mean(axis=0)
             centred = stored - mean[index]
             found = principal_rows(centred, size)
-            basis[index, : len(found)] = found
-            coefficients[rows] = centred @ basis[index].T
+            basis[index, :, : len(found)] = found.T
+            coefficients[rows] = centred @ basis[index]
         return cls(directions, cluster, mean, basis, coefficients, near)
 
     def truncated(self, size: int) -> "ClusteredVisibility":
         """The same with the first `size` components."""
-        return self._replace(basis=self.basis[:, :size], coefficients=self.coefficients[:, :size])
+        return self._replace(
+            basis=np.ascontiguousarray(self.basis[:, :, :size]), coefficients=self.coefficients[:, :size]
+        )
 
     def lit(
         self, points: SurfacePoints, lights: Float[np.ndarray, "L 3"], slack: float = 0.05
@@ -119,8 +121,8 @@ class ClusteredVisibility(NamedTuple):
         out = np.empty(chosen.shape)
         for start in range(0, len(samples), _PAIRS):
             rows = slice(start, start + _PAIRS)
-            part = self.basis[owner[rows, None], :, chosen[rows]]
-            out[rows] = np.einsum("nkb,nb->nk", part, self.coefficients[samples[rows]])
+            part = self.basis[owner[rows, None], chosen[rows]]
+            out[rows] = (part @ self.coefficients[samples[rows], :, None])[:, :, 0]
         return out + self.mean[owner[:, None], chosen]
 
 

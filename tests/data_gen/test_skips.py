@@ -29,7 +29,15 @@ TINY: dict[str, Any] = {
     "measurements": 8,
     "supersampling": 1,
 }
-MANY_CHARTS = ("bunny", "elephant", "plants", "plants-fine", "room", "room-fine")  # they do not fit 32² texels
+MANY_CHARTS = (
+    "apartment",
+    "bunny",
+    "elephant",
+    "plants",
+    "plants-fine",
+    "room",
+    "room-fine",
+)  # they do not fit 32² texels
 ARRAYS = {"measured", "direct", "indirect", "indirect_half", "noise", "groups", "measurement_points", "dense_points"}
 
 
