@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from data_gen.tracer import Tracer
-from prt_bench.depth import frames
-from prt_bench.hemisphere import HemisphereSampler
+from prt_bench.hemisphere import HemisphereSampler, tangent_frames
 from prt_bench.points import SurfacePoints
 
 _STEP = 1 << 19  # rays at once
@@ -47,12 +46,16 @@ def nearest_hits(
 def hemispheres(
     tracer: Tracer, points: SurfacePoints, directions: Float[np.ndarray, "d 3"]
 ) -> Float[np.ndarray, "S d"]:
-    """Distance in m to what each sample sees along `directions` about its normal, inf where a ray escapes; float32."""
+    """Distance in m to what each sample sees along `directions` in its unturned `tangent_frames`; float32.
+
+    Where a ray escapes it is inf.
+    """
     out = np.empty((len(points), len(directions)), np.float32)
     step = max(_STEP // len(directions), 1)
     for start in range(0, len(points), step):
         rows = slice(start, min(start + step, len(points)))
-        turned = np.einsum("kd,pdx->pkx", directions, frames(points.normal[rows])).reshape(-1, 3)
+        frame = tangent_frames(points.normal[rows], np.zeros(rows.stop - start))
+        turned = np.einsum("kd,pdx->pkx", directions, frame).reshape(-1, 3)
         origin = np.repeat(points.position[rows] + tracer.offset * points.normal[rows], len(directions), axis=0)
         out[rows] = tracer.intersect(origin, turned).distance.reshape(-1, len(directions))
     return out

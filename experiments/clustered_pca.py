@@ -46,7 +46,7 @@ from prt_bench.runtime.runtime import Runtime
 from prt_bench.transport import GatherOperator, indirect
 
 SCENE = "apartment"
-START = (-3.0, 1.5, 2.3)
+START = np.array([-3.0, 1.5, 2.3])
 SOURCES = RECEIVERS = 10
 COEFFICIENTS = 50
 SIZES = (10, 25, 50, 100)
@@ -166,7 +166,7 @@ def shadows(
 ) -> dict[str, np.ndarray]:
     """Tables of shadow errors; what the first lamp lights, cast and reconstructed."""
     points = level.points
-    places = np.array([lamp.lights[0].position for lamp in lamps])
+    places = np.array([np.asarray(lamp.lights[0].emitters().position)[0, :3] for lamp in lamps])
     open_light = direct_irradiance(tracer, points, emitters(lamps), shadow_rays=False)[..., 0]
     cast = visibility(tracer, points, emitters(lamps))[..., 0]
     rows = []

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from prt_bench.errors import FitError
+from prt_bench.hemisphere import tangent_frames
 from prt_bench.linalg import principal_rows
 from prt_bench.points import SurfacePoints
 
@@ -26,26 +27,13 @@ def hemisphere_directions(count: int) -> Float[np.ndarray, "d 3"]:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
 
 
-def frames(normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3 3"]:
-    """Rows (tangent, bitangent, normal): the shortest turn from z to the normal, from −z to those that point down.
-
-    Neighbours on a surface so get frames that are alike. Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
-    """
-    x, y, z = normal.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    tangent = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    bitangent = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([tangent, bitangent, normal], axis=1)
-
-
 class ClusteredVisibility(NamedTuple):
     """Depth of each sample as `mean` [P, d] of its cluster plus `coefficients` [S, K] on its cluster's `basis` [P, d, K].
 
     What is stored of a distance r is 1 / (r + `near`), in 1/m: 0 where a ray escapes, and bounded at corners. Being affine it
-    keeps the paper's mean: depth has no intensity, so that nothing has to scale. `directions` [d, 3] are about each sample's
-    normal. After "clustered PCA with local lights", eqs. 7 to 9 and Section 4.2.
+    keeps the paper's mean: depth has no intensity, so that nothing has to scale. `directions` [d, 3] are in the unturned
+    `tangent_frames` of each sample, which are alike for neighbours on a surface. Not differentiable. After "clustered PCA with
+    local lights", eqs. 7 to 9 and Section 4.2.
     """
 
     directions: Float[np.ndarray, "d 3"]
@@ -101,14 +89,14 @@ class ClusteredVisibility(NamedTuple):
         by nearness: a shadow's edge is as soft as the directions are apart. A light counts as seen up to `slack` of its
         distance behind the surface.
         """
-        tree, turn = KDTree(self.directions), frames(points.normal)
+        tree, turn = KDTree(self.directions), tangent_frames(points.normal, np.zeros(len(points)))
         out = np.zeros((len(lights), len(points)))
         for row, light in enumerate(lights):
             away = light - points.position
             distance = np.linalg.norm(away, axis=1)
             local = np.einsum("pdx,px->pd", turn, away / distance[:, None])
             above = np.flatnonzero(local[:, 2] > 0)
-            gap, near = tree.query(local[above], k=_CORNERS)
+            gap, near = map(np.asarray, tree.query(local[above], k=_CORNERS))
             weight = 1.0 / (gap + 1e-6)
             limit = 1.0 / ((1.0 - slack) * distance[above] + self.near)
             seen = self.stored(above, near) <= limit[:, None]
