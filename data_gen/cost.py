@@ -1,6 +1,5 @@
 """What a bake will cost, from counts and from rates measured here and now, and what it did cost beside that."""
 
-import os
 import resource
 import sys
 import time
@@ -13,11 +12,13 @@ import numpy as np
 from jaxtyping import Array
 
 from data_gen.decisions import Cost, Plan
-from data_gen.effects.hair import SECONDS_PER_RAY, predicted_rays
+from data_gen.effects.hair import predicted_cost
 from data_gen.effects.subsurface import predicted_walks
+from data_gen.strand_atlas import strand_rows
 from data_gen.tracer import Tracer
 from prt_bench.lights import AREA_SAMPLES, ENVIRONMENT_SAMPLES
 from prt_bench.scene import Scene
+from prt_bench.strands import TEXELS
 from prt_bench.transport import GatherOperator
 
 _LIGHT_SAMPLES = {"area": AREA_SAMPLES, "environment": ENVIRONMENT_SAMPLES}
@@ -36,11 +37,14 @@ def predict(
     draft: Plan, scene: Scene, scenario: str, lightings: int, dense: int, workers: int | None, streamed: int
 ) -> Cost:
     """Cost from counts and from rates measured here and now on this scene."""
-    receivers = int(_COVERAGE * draft.texels**2)
-    samples = int(_COVERAGE * draft.gather_texels**2)
+    strands = 0 if scene.strands is None else len(scene.strands) * TEXELS  # texels of theirs
+    surfaces = draft.texels if scene.strands is None else draft.texels - strand_rows(scene, draft.texels)
+    receivers = int(_COVERAGE * surfaces**2) + strands
+    samples = receivers if strands else int(_COVERAGE * draft.gather_texels**2)
     shared = draft.gather_texels == draft.texels
-    traced = receivers if shared else receivers + samples
-    lit = receivers + dense + samples * (2 if scene.translucent else 1)  # samples again for what enters media
+    traced = receivers - strands if shared else receivers + samples
+    # Samples again for what enters media, or falls on hair.
+    lit = receivers + dense + samples * (2 if scene.translucent or strands else 1)
     columns = lightings * draft.channels
     if draft.node_rays:
         traced -= receivers
@@ -48,7 +52,8 @@ def predict(
     gather_rays += int(_NODE_SHARE * receivers) * draft.node_rays
     lit_points = lit * lightings + (samples + dense) * streamed
     shadow_rays = 0 if draft.convex == "outside" else lit_points * _LIGHT_SAMPLES.get(scenario, 1)
-    ray_rate, sum_rate = _rates(scene, workers)
+    tracer = Tracer(scene, workers)
+    ray_rate, sum_rate = _rates(scene, tracer)
     gathered = _NODE_SHARE * receivers * draft.node_rays if draft.node_rays else receivers * draft.rays
     sums = (samples * min(draft.bounces, 16) * draft.rays + gathered) * columns
     seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + sums / sum_rate
@@ -60,20 +65,23 @@ def predict(
         gather_rays += int(starts * queries)
         disk += int(2 * starts * walks)
         seconds += starts * queries / ray_rate
-    if scene.strands is not None:
-        queries, entries = predicted_rays(scene, draft.rays)
+    if strands:
+        queries, sky, alone, shadow = predicted_cost(scene, draft.rays, tracer)
+        entries = strands * draft.rays
         gather_rays += queries
         disk += 4 * entries * draft.channels
-        seconds += queries * SECONDS_PER_RAY / (workers or os.cpu_count() or 1)
+        # Shadow rays among fibres take longer than others: of all that are lit, three times each strand texel.
+        from_strands = shadow_rays * 3 * strands / lit
+        shadow_rays += sky
+        seconds += alone + from_strands * (shadow - 0.5 / ray_rate)
         seconds += entries * columns * min(draft.bounces, 16) / sum_rate
     memory = int(6e8) + 12 * samples * columns * 4 + 6 * min(receivers, 1 << 14) * columns * 4
     return Cost(gather_rays, shadow_rays, disk, memory, seconds)
 
 
-def _rates(scene: Scene, workers: int | None) -> tuple[float, float]:
+def _rates(scene: Scene, tracer: Tracer) -> tuple[float, float]:
     """Rays per second on this scene and gathered values per second, each timed on a small batch."""
     rng = np.random.default_rng(0)
-    tracer = Tracer(scene, workers)
     origins = rng.uniform(scene.bounds[0], scene.bounds[1], (1 << 17, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
     tracer.intersect(origins[:1024], directions[:1024])

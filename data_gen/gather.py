@@ -17,17 +17,17 @@ NOWHERE = -1
 """The face of points in the air."""
 _RAYS_PER_STEP = 1 << 18
 """Enough to amortise a few hundred microseconds of dispatch."""
-_PROBES = 16
+PROBES = 16
 """Rays that tell whether a point is buried."""
 
 
 def buried(tracer: Tracer, points: SurfacePoints, seed: int) -> Bool[np.ndarray, " P"]:
     """Whether points lie inside another body: most rays from them meet the back of a surface."""
-    directions = HemisphereSampler.create(_PROBES, seed).directions(0, points.normal)
-    origins = np.repeat(points.position + tracer.offset * points.normal, _PROBES, axis=0)
+    directions = HemisphereSampler.create(PROBES, seed).directions(0, points.normal)
+    origins = np.repeat(points.position + tracer.offset * points.normal, PROBES, axis=0)
     hits = tracer.intersect(origins, directions.reshape(-1, 3))
     back = np.isfinite(hits.distance) & ~hits.front
-    return back.reshape(-1, _PROBES).sum(axis=1) > _PROBES // 2
+    return back.reshape(-1, PROBES).sum(axis=1) > PROBES // 2
 
 
 def trace_hits(

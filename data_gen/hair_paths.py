@@ -24,7 +24,8 @@ from prt_bench.strands import TEXELS, Strands
 
 LONGEST = 1 << 14
 """Rays after which a path that is still alive is given up, and counted."""
-_BLOCK = 1 << 15  # paths that one worker follows together
+BLOCK = 1 << 15
+"""Paths that one worker follows together."""
 _STEP = np.uint64(16)
 _PASSES = 16  # backs of tubes that a ray may pass on its way out of a bent strand
 _PLACE = np.uint64(11)  # chooses the jitter of a resolved place
@@ -71,7 +72,7 @@ class StrandPaths:
 
     def follow(self, texel: Int[np.ndarray, " n"], key: Int[np.ndarray, " n"]) -> Followed:
         """Paths from strand texels (strand · TEXELS + place), whose random numbers `key` chooses, one by one."""
-        blocks = [slice(at, at + _BLOCK) for at in range(0, len(key), _BLOCK)]
+        blocks = [slice(at, at + BLOCK) for at in range(0, len(key), BLOCK)]
         with self.tracer.pool() as executor:
             parts = list(executor.map(lambda block: self._run(texel[block], key[block]), blocks))
         visits = [
@@ -96,7 +97,7 @@ class StrandPaths:
             seen[block] = ~self.tracer.occluded(origin, direction * self.tracer.reach)
 
         with self.tracer.pool() as executor:
-            list(executor.map(look, [slice(at, at + _BLOCK) for at in range(0, len(keys), _BLOCK)]))
+            list(executor.map(look, [slice(at, at + BLOCK) for at in range(0, len(keys), BLOCK)]))
         return seen.reshape(-1, rays).mean(axis=1)
 
     def _place(

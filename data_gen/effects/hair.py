@@ -13,14 +13,16 @@ What rays from surfaces see of hair is the same mean. Checks, predictions and ta
 """
 
 import json
+import time
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-from data_gen.hair_paths import LONGEST, Fate, StrandPaths, Visits
+from data_gen.hair_paths import BLOCK, LONGEST, Fate, StrandPaths, Visits
 from data_gen.journal import Journal, create_array
 from data_gen.medium_walk import uniform, walk_keys
 from data_gen.resolve import HitResolver
@@ -37,8 +39,7 @@ from prt_bench.walks import WalkTable
 
 VERSION = 1  # part of the transport's key: raise when the same inputs would give other paths
 _PATHS = 1 << 17  # paths that are traced and stored together
-SECONDS_PER_RAY = 3e-6
-"""What a ray of a path costs on one core, for predictions: its scattering more than its tracing."""
+_PILOT = 2 * BLOCK  # paths that are followed to predict what all of them cost
 _SKY_RAYS = 64  # from each texel, that tell how much of the sky it sees
 _PRIOR = 8.0  # paths whose worth of the neighbours' weight is mixed into that of a texel
 _REFLECTED, _ONWARD, _DRAWN = np.uint64(21), np.uint64(22), np.uint64(23)  # choose random numbers
@@ -82,11 +83,46 @@ def predicted_events(scene: Scene) -> float:
     return float(1.0 + min(thickness + 0.5 * thickness**2, alive))
 
 
-def predicted_rays(scene: Scene, rays: int) -> tuple[int, int]:
-    """Rays of all paths, and entries of the tables of one channel."""
+class Rates(NamedTuple):
+    """Measured on all workers together: seconds of a path, its mean number of rays, and seconds of a shadow ray.
+
+    Threads wait for each other, so that a path on two cores takes more than half of what it takes on one.
+    """
+
+    path: float
+    rays: float
+    shadow: float
+
+
+def measured_rates(scene: Scene, tracer: Tracer) -> Rates:
+    """Some paths and shadow rays from texels all over the strands, timed here and now, for predictions."""
     assert scene.strands is not None
-    paths = len(scene.strands) * TEXELS * rays
-    return int(paths * predicted_events(scene)), paths
+    texel = np.random.default_rng(0).integers(0, len(scene.strands) * TEXELS, _PILOT)
+    keys = hashed(np.arange(_PILOT, dtype=np.uint64))
+    paths = StrandPaths(scene, scene.strands, tracer, _Nowhere(), 1 if scene.achromatic else 3)
+    started, before = time.perf_counter(), tracer.nearest
+    paths.follow(texel, keys)
+    between = time.perf_counter()
+    paths.openness(texel, 1, 0)
+    ended = time.perf_counter()
+    return Rates((between - started) / _PILOT, (tracer.nearest - before) / _PILOT, (ended - between) / _PILOT)
+
+
+class _Nowhere:
+    """In the place of a resolver: no surface has samples, and every fibre the same."""
+
+    samples = 0
+
+    def __call__(self, hits: object, towards: Float[np.ndarray, "n 3"], *_: object) -> Int[np.ndarray, " n"]:
+        return np.zeros(len(towards), np.int32)
+
+
+def predicted_cost(scene: Scene, rays: int, tracer: Tracer) -> tuple[int, int, float, float]:
+    """Rays of all paths, those that look for the sky, seconds of both, and those of one shadow ray from a strand."""
+    assert scene.strands is not None
+    texels, rates = len(scene.strands) * TEXELS, measured_rates(scene, tracer)
+    seconds = texels * (rays * rates.path + _SKY_RAYS * rates.shadow)
+    return int(texels * rays * rates.rays), texels * _SKY_RAYS, seconds, rates.shadow
 
 
 def decision(scene: Scene, rays: int) -> tuple[str, str, str]:

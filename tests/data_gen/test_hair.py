@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import prt_bench as prt
+from data_gen.gather import PROBES
 from data_gen.geometry import Part, assemble, solid
 from data_gen.hair_paths import Fate, StrandPaths
 from data_gen.medium_walk import walk_keys
@@ -185,9 +186,17 @@ def test_the_plan_says_what_hair_costs() -> None:
     assert rows["effects"]["decision"] == "diffuse, hair"
     assert "120 strands of 10 texels" in rows["hair"]["why"]
     assert not any("hair" in str(row) for row in without.to_json())
-    assert with_hair.cost.gather_rays > without.cost.gather_rays
+    assert with_hair.cost.shadow_rays > without.cost.shadow_rays
     black = replace(Hair(), absorption=(1e3, 1e3, 1e3))
     assert prt.plan(tuft(black, 120), texels=64, rays=32).cost.gather_rays < with_hair.cost.gather_rays
+
+
+def test_predicted_rays_are_those_that_were_traced(brown: LightingDataset) -> None:
+    """Paths are followed to count their rays, and light is measured at strands for each of its uses."""
+    predicted, actual = brown.metadata["predicted"], brown.metadata["actual"]
+    around = PROBES * len(brown.points)  # which of them are buried
+    assert actual["gather_rays"] - around == pytest.approx(predicted["gather_rays"], rel=0.25)
+    assert actual["shadow_rays"] == pytest.approx(predicted["shadow_rays"], rel=0.35)
 
 
 def test_black_hair_is_dark_and_finite(tmp_path: Path) -> None:
