@@ -1,7 +1,5 @@
 // What a Phong lobe about the mirror direction reflects, W/m²/sr: of indirect light from nine coefficients a texel, the same as
-// prt_bench/glossy_indirect.py, and DIRECT of emitters, each by itself.
-#include "generated/harmonics"
-#include "generated/lobe"
+// prt_bench/glossy_indirect.py, and DIRECT of emitters, each by itself. Whoever includes it has the generated harmonics and lobe.
 
 layout(binding = 6) uniform sampler2DArray arriving;
 

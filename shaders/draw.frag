@@ -9,6 +9,8 @@
 #include "reconstruct.glsl"
 #endif
 #ifdef GLOSSY
+#include "generated/harmonics"
+#include "generated/lobe"
 #ifdef DIRECTIONAL
 #include "directional.glsl"
 #else
