@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from _frames import arguments, table
+from scipy.spatial import KDTree
 
 import prt_bench as prt
 from data_gen.direct import direct_irradiance
@@ -39,6 +40,7 @@ PAPER = {"F": (164, 240, 313), "L": (22, 41, 62), "M": (1, 5, 8)}
 PAPER_MS = {11: 1.4, 41: 6.2}
 ALBEDO = ((0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
 LIT = 12  # lightings that are compared
+PIXELS = 40  # of a picture along a block
 
 
 def main() -> None:
@@ -167,19 +169,22 @@ def once_through(model: LevelTransfer, radiosity: jax.Array) -> jax.Array:
 
 
 def draw(path: Path, ds: prt.LightingDataset, wanted: np.ndarray, found: np.ndarray) -> None:
-    """The floor from above under the first lighting."""
+    """The floor from above under the first lighting: each pixel the nearest texel."""
     floor = ds.points.normal[:, 1] > 0.5
-    x, z = ds.points.position[floor][:, [0, 2]].T / EDGE
+    place = ds.points.position[floor][:, [0, 2]] / EDGE
+    low, high = place.min(axis=0), place.max(axis=0)
+    x, z = (np.arange(low[axis], high[axis], 1.0 / PIXELS) for axis in (0, 1))
+    away, nearest = KDTree(place).query(np.stack(np.meshgrid(x, z), axis=-1))
     top = np.quantile(wanted[floor], 0.99)
-    figure, axes = plt.subplots(1, 3, figsize=(12, 12 / 3 * np.ptp(z) / np.ptp(x) + 0.6), layout="constrained")
-    size = 0.5 * (72 * 12 / 3 / np.ptp(x) / 12) ** 2
-    parts = (("traced", wanted / top), ("modular", found / top), ("difference × 4", 0.5 + 4.0 * (found - wanted) / top))
+    figure, axes = plt.subplots(1, 3, figsize=(12, 4 * len(z) / len(x) + 0.5), layout="constrained")
+    parts = (
+        ("traced", np.clip(wanted / top, 0, 1) ** (1 / 2.2)),
+        ("modular", np.clip(found / top, 0, 1) ** (1 / 2.2)),
+        ("difference × 4", np.clip(0.5 + 4.0 * (found - wanted) / top, 0, 1)),
+    )
     for axis, (title, light) in zip(axes, parts, strict=True):
-        axis.scatter(
-            x, z, c=np.clip(light[floor], 0, 1) ** (1 if "dif" in title else 1 / 2.2), s=size, marker="s", lw=0
-        )
-        axis.set(title=title, aspect="equal", xticks=[], yticks=[])
-        axis.invert_yaxis()
+        axis.imshow(np.where((away < 0.1)[..., None], light[floor][nearest], 1.0), interpolation="nearest")
+        axis.set(title=title, xticks=[], yticks=[])
         axis.set_frame_on(False)
     figure.savefig(path, dpi=100)
     plt.close(figure)
