@@ -1,5 +1,6 @@
 """Clustered PCA: direct light of each cluster on principal components of its own, which are sent into the scene one by one."""
 
+import warnings
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -78,6 +79,7 @@ class ClusteredPCA(Method):
         # U, and Uᵀ R
         spread = np.asarray(fewer_columns(sent))
         basis = bases_of_clusters((response @ spread).reshape(len(response), -1), receivers, count, self.basis)
+        self._warn_of_rank(basis, receivers)
         projected = np.moveaxis(in_clusters(basis, response, receivers, count), 1, 0)
 
         cells = prior_columns(ds, "cells")
@@ -88,6 +90,18 @@ class ClusteredPCA(Method):
         return ClusteredModel(
             jnp.asarray(basis), jnp.asarray(receivers, jnp.float64), jnp.pad(matrix, ((0, 0), (0, 0), (0, 1)))
         )
+
+    def _warn_of_rank(self, basis: Float[np.ndarray, "T K"], owner: Int[np.ndarray, " T"]) -> None:
+        """Warn when light leaves functions empty that a cluster has receivers for."""
+        empty = 0
+        for cluster in np.unique(owner):
+            rows = basis[owner == cluster]
+            empty += min(self.basis, len(rows)) - int(np.any(rows, axis=0).sum())
+        if empty:
+            warnings.warn(
+                f"{self.label}: the lightings have too small a rank in some clusters; {empty} basis functions are zero",
+                stacklevel=3,
+            )
 
 
 def bases_of_clusters(

@@ -27,7 +27,9 @@ def error(model, ds=TEST) -> float:
 
 @cache
 def fitted(ds=TRAIN, **settings) -> ClusteredModel:
-    return prt.method("clustered-pca", **settings).fit(ds)
+    model = prt.method("clustered-pca", **settings).fit(ds)
+    assert isinstance(model, ClusteredModel)
+    return model
 
 
 def test_clusters_are_a_packing_and_a_cover():

@@ -176,7 +176,7 @@ def _low_rank(route: Route) -> Iterator[Member]:
         yield Member(f"seed {seed}", rig)
 
 
-_LEARN_ELSEWHERE = ("reduced-rank", "streamed-ridge")
+_LEARN_ELSEWHERE = ("clustered-pca", "reduced-rank", "streamed-ridge")
 """Methods with a ridge that fit streamed lightings besides the rig's, whose light the rig's measurements do not determine.
 
 Learned methods have no ridge, train on streamed lightings too, and are not asked: on this family `mlp-coefficients` and
@@ -283,8 +283,10 @@ def short_of_rank(method: Method, rig: Rig, route: Route) -> bool:
 
 
 def _without_mean() -> dict[str, Method]:
+    """Methods with one basis for the scene: those with one for each cluster cut as many spectra, of streamed light."""
     found = _on_a_basis(rigs.BASIS - 1, mean=False)
-    return {label: method for label, method in found.items() if not rigs.settings(method).get("mean", False)}
+    single = {label: each for label, each in found.items() if "clusters" not in rigs.settings(each)}
+    return {label: each for label, each in single.items() if not rigs.settings(each).get("mean", False)}
 
 
 @case(
