@@ -73,7 +73,7 @@ plt.show()
 # traced anew every few steps and held fixed in between.
 
 # %%
-model = prt.method("operator-ridge", basis=48).fit(train)
+model = models["reduced-rank"]
 hidden = test.lightings[4]
 target = jnp.asarray(test.indirect[4:5])
 extent = scene.extent

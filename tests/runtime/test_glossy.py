@@ -109,7 +109,7 @@ def test_roughness_may_vary_over_the_surface(tmp_path):
         mesh = replace(ds.scene.mesh, uv=np.zeros((len(ds.scene.mesh.faces), 3, 2)))
         ds = replace(ds, transport=replace(ds.transport, scene=replace(ds.scene, mesh=mesh)))
         window = Runtime(ds, size=(64, 48), shadow_resolution=128)
-        loaded = window.load(prt.method("sh-triple-fixed").fit(ds).export(tmp_path / "asset"))
+        loaded = window.load(prt.method("sh-triple-fixed", order=3).fit(ds).export(tmp_path / "asset"))
         frames.append(window.frame(LIGHTING, loaded))
     np.testing.assert_allclose(frames[1], frames[0], rtol=1e-4, atol=1e-6)
 
