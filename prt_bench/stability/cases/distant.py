@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from functools import cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from prt_bench.emitters import irradiance
 from prt_bench.harmonic import HarmonicModel
-from prt_bench.lights import DirectionalLight, Lighting
+from prt_bench.lights import DirectionalLight, Lighting, emitters
 from prt_bench.methods.base import Method
 from prt_bench.methods.neural_transfer import NeuralTransfer
 from prt_bench.models import Model
@@ -35,11 +37,12 @@ def _trained(method: NeuralTransfer) -> Model:
 
 
 class _Lit:
-    """What a model of distant light observes."""
+    """What a model may observe of distant light: itself, or what it gives the room's measurement points, which it reaches."""
 
     def __init__(self, lighting: Lighting) -> None:
         self.lightings = (lighting,)
-        self.measured = np.zeros((1, 1, 3))
+        points, light = room(OPEN).measurement_points, jax.tree.map(lambda leaf: leaf[0], emitters([lighting]))
+        self.measured = np.asarray(irradiance(light, jnp.asarray(points.position), jnp.asarray(points.normal)))[None]
 
 
 @case("A13", "transfer vectors shipped in float32", subjects=unlearned, family=_suns, routes=(F64, F32))
