@@ -19,7 +19,7 @@ import zarr
 from data_gen.cost import comparison, spent
 from data_gen.decisions import Plan
 from data_gen.hull import hull_scene, measuring_scene
-from data_gen.journal import begun, content_key, create_array, data_folder, resumable
+from data_gen.journal import begun, content_key, create_array, resumable
 from data_gen.light import LightPass
 from data_gen.plan import HELD_OUT_LEAST, Auto, MeasureOn, plan, with_more_rays
 from data_gen.sampling import measurement_points, on_pose
@@ -32,7 +32,7 @@ from prt_bench.errors import SceneError, SpecError
 from prt_bench.lights import EnvironmentLight, Lighting, emitters
 from prt_bench.progress import say, track
 from prt_bench.scene import Scene
-from prt_bench.store import FORMAT, write_array, write_points
+from prt_bench.store import FORMAT, data_folder, write_array, write_points
 
 _VERSION = 2  # raise when the same inputs would give other numbers
 

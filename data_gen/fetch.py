@@ -19,8 +19,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
-from data_gen.journal import data_folder, write_whole
+from data_gen.journal import write_whole
 from prt_bench.errors import SceneError
+from prt_bench.store import data_folder
 
 PACKAGE = "libcgal-demo"
 LICENCE = "CC0 1.0"

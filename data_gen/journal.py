@@ -100,13 +100,6 @@ def _told_of_a_full_disk(folder: Path) -> Iterator[None]:
         raise
 
 
-def data_folder() -> Path:
-    """Where data goes unless told otherwise: $PRT_BENCH_DATA, or prt-bench in the user's cache folder."""
-    chosen = os.environ.get("PRT_BENCH_DATA")
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return Path(chosen) if chosen else cache / "prt-bench"
-
-
 def content_key(about: dict[str, Any]) -> str:
     """A short name for everything a store depends on."""
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]

@@ -18,13 +18,13 @@ from data_gen.decisions import FULL_TAIL, Cost, Decision, Plan, forced
 from data_gen.effects import hair
 from data_gen.effects.subsurface import media, predicted_events
 from data_gen.hull import check_hull
-from data_gen.journal import data_folder
 from data_gen.pilot import MOST_RAYS, Pilot, unattainable
 from data_gen.sampling import check_measurements
 from data_gen.scenarios import check_scenario, sample_lightings
 from data_gen.tracer import Tracer
 from prt_bench.errors import SpecError
 from prt_bench.scene import Scene
+from prt_bench.store import data_folder
 
 MOST_BOUNCES = 256
 MeasureOn = Literal["surface", "hull"]

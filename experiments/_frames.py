@@ -13,12 +13,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import prt_bench as prt
-from data_gen.journal import data_folder
 from prt_bench.assets import RuntimeAsset
 from prt_bench.images import exposure_for, tone_map
 from prt_bench.methods.base import Method
 from prt_bench.metrics import flip, relative_norm
 from prt_bench.runtime.runtime import Runtime
+from prt_bench.store import data_folder
 
 PUBLISHED = {"normalise": "measured", "ridge": 1e-3}
 """What `svd-ridge` needs to be as published: light over the norm of its measured values; mean and mono-channel are its own."""

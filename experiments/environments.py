@@ -13,10 +13,10 @@ from _frames import arguments, table
 
 import prt_bench as prt
 from data_gen.assets import environment_maps
-from data_gen.journal import data_folder
 from prt_bench.environment import LUMINANCE, EnvironmentMap, texel_directions
 from prt_bench.metrics import relative_norm
 from prt_bench.spherical import project_environment
+from prt_bench.store import data_folder
 
 BRIGHTEST = (1e-3, 1e-2, 1e-1)
 

@@ -14,9 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import prt_bench as prt
-from data_gen.journal import data_folder
 from prt_bench.linalg import leading_basis
 from prt_bench.methods.examples import normalised
+from prt_bench.store import data_folder
 
 
 def main() -> None:

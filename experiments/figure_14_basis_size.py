@@ -13,8 +13,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import prt_bench as prt
-from data_gen.journal import data_folder
 from prt_bench.evaluate import errors
+from prt_bench.store import data_folder
 
 SIZES = (4, 8, 16, 32, 64)
 PUBLISHED = {"normalise": "measured", "ridge": 1e-3}

@@ -24,7 +24,6 @@ import numpy as np
 from scipy.optimize import nnls
 
 import prt_bench as prt
-from data_gen.journal import data_folder
 from prt_bench.assets import RuntimeAsset
 from prt_bench.evaluate import errors
 from prt_bench.learned.cost import cost_of
@@ -33,6 +32,7 @@ from prt_bench.methods.mlp_decoder import MlpDecoder
 from prt_bench.models import Model
 from prt_bench.runtime import Runtime
 from prt_bench.runtime.timing import time_assets
+from prt_bench.store import data_folder
 
 CLOSED = (4, 8, 16, 64, 96)
 RESIDUAL = ((16, 128, 2), (64, 64, 1), (64, 64, 2), (64, 128, 2))

@@ -17,8 +17,8 @@ import warnings
 from pathlib import Path
 
 import prt_bench as prt
-from data_gen.journal import data_folder
 from prt_bench.evaluate import errors
+from prt_bench.store import data_folder
 
 ROWS = (
     ("svd-ridge", {}),

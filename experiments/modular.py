@@ -23,7 +23,6 @@ from scipy.spatial import KDTree
 
 import prt_bench as prt
 from data_gen.direct import direct_irradiance
-from data_gen.journal import data_folder
 from data_gen.levels import EDGE, block_samples, scene_of
 from data_gen.tracer import Tracer
 from prt_bench.lights import emitters
@@ -32,6 +31,7 @@ from prt_bench.modular.cube import FACES, one_bounce
 from prt_bench.modular.dictionary import Dictionary, build
 from prt_bench.modular.level import LevelTransfer, maze, transfer
 from prt_bench.modular.modes import _modes, direct_light, enriched, needed
+from prt_bench.store import data_folder
 from prt_bench.timing import interleaved
 from prt_bench.transport import indirect
 

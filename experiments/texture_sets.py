@@ -27,12 +27,12 @@ from jaxtyping import Bool, Float, Int
 
 import prt_bench as prt
 from data_gen.geometry import rotation_about
-from data_gen.journal import data_folder
 from data_gen.reference_image import camera_directions
 from data_gen.tracer import Tracer
 from prt_bench.metrics import relative_rmse, temporal_error
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.scene import Camera, Scene
+from prt_bench.store import data_folder
 from prt_bench.timing import interleaved
 
 SUN = prt.Lighting([prt.DirectionalLight((-0.6, -1.0, -0.25), (3.0, 2.9, 2.7))])

@@ -21,7 +21,6 @@ from _frames import Row, arguments, draw, table
 
 import prt_bench as prt
 from data_gen.glossy_reference import reference_radiance
-from data_gen.journal import data_folder
 from data_gen.reference_image import reference_image
 from data_gen.tracer import Tracer
 from prt_bench.glossy import Surface, TripleModel, mirrored
@@ -32,6 +31,7 @@ from prt_bench.runtime.glossy import GlossyAsset
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.runtime.timing import time_assets
 from prt_bench.scene import Glossy, Scene
+from prt_bench.store import data_folder
 from prt_bench.visibility import transfer_matrices
 
 EXPONENTS = (5.0, 20.0, 80.0, 320.0)

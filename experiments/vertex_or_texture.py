@@ -16,12 +16,12 @@ from _frames import SIZE, Row, arguments, draw, ship, table
 
 import prt_bench as prt
 from data_gen.fetch import MESHES
-from data_gen.journal import data_folder
 from prt_bench.assets import RuntimeAsset
 from prt_bench.evaluate import errors
 from prt_bench.metrics import relative_norm
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.runtime.timing import time_assets
+from prt_bench.store import data_folder
 
 MAP = 1024
 SHADOW = prt.Camera((0.5, 1.75, 2.0), (0.02, 0.0, 0.05), fov_y=37.0)

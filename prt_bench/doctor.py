@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from prt_bench.errors import RuntimeUnavailable
+from prt_bench.store import data_folder
 
 _REINSTALL = "python -m pip install --force-reinstall prt-bench"
 _GL_LIMITS = {
@@ -120,7 +121,6 @@ def _memory() -> str:
 
 def _disk() -> str:
     def free() -> str:
-        from data_gen.journal import data_folder
 
         folder: Path = data_folder()
         existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())

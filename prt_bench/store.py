@@ -1,6 +1,7 @@
 """Scenes, points and lightmaps as zarr groups. Values only: what a dataset is lives in `dataset.py`."""
 
 import json
+import os
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,13 @@ FORMAT = 2
 """Part of every store's name, so that what an earlier version wrote is left alone and baked anew."""
 _POINT_FIELDS = ("position", "normal", "albedo", "face", "barycentric")
 _STRANDS = ("nodes", "starts", "radius", "material")
+
+
+def data_folder() -> Path:
+    """Where data goes unless told otherwise: $PRT_BENCH_DATA, or prt-bench in the user's cache folder."""
+    chosen = os.environ.get("PRT_BENCH_DATA")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return Path(chosen) if chosen else cache / "prt-bench"
 
 
 def open_group(path: Path, kind: str) -> Any:  # a zarr.Group, whose members have no useful types

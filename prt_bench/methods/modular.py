@@ -1,10 +1,11 @@
-"""Modular radiance transfer with one block: light within the bounding box, by transport that is the same for all boxes.
+"""Modular radiance transfer: light within boxes that stand for a scene, by transport that is the same for all boxes.
 
-Nothing of the scene is traced or learned. Its surfaces tell which faces the box has and how bright they are; all else is
-the reduced transport of a cube (`prt_bench.modular`), which no light that is asked for and no geometry changes.
+Nothing of the scene is traced or learned. Its surfaces tell which faces a box has and how bright they are; all else is
+the reduced transport of cubes (`prt_bench.modular`), which no light that is asked for and no geometry changes.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from prt_bench.clustered import ClusteredModel
 from prt_bench.dataset import LightingDataset
 from prt_bench.linalg import relative_damping, ridge
 from prt_bench.methods.base import Method
@@ -19,7 +21,10 @@ from prt_bench.methods.linear import linear_model
 from prt_bench.methods.operator import fit_albedo
 from prt_bench.models import LinearModel
 from prt_bench.modular.block import Box, missing_faces, modes_of, observation, on_faces, received
+from prt_bench.modular.dictionary import standard
+from prt_bench.modular.joined import joined
 from prt_bench.modular.modes import Modes
+from prt_bench.modular.placed import Placed
 
 
 @dataclass(frozen=True)
@@ -30,10 +35,16 @@ class Modular(Method):
     the cube's light at the points; R = UᵀF P Pᵀ ρ U carries each bounce to the next, for as many as the bake has; U_p is what
     points at the receivers get of the light behind U. `ridge` is λ relative to the prior's light at the points. For scenes
     that are about a box: light that a body keeps from a wall is not kept from it here.
+
+    With a `level`, a TOML file of blocks on a grid (`modular.placed`) or a folder that has one with the scene's name, there is
+    such a box for each room, light passes between them through sides without walls, `depth` of them at most, and `basis`
+    functions are kept for each. What their dictionary holds is computed once and kept in the user's cache folder.
     """
 
     name: ClassVar[str] = "modular"
-    summary: ClassVar[str] = "one box of modular radiance transfer: no precomputation of the scene's light"
+    summary: ClassVar[str] = (
+        "modular radiance transfer of one box or a level of them: no precomputation of the scene's light"
+    )
     citation: ClassVar[str] = "loos2011modular"
     learns: ClassVar[bool] = False
 
@@ -41,15 +52,35 @@ class Modular(Method):
     ridge: float = 1e-2
     side: int = 12
     lights: int = 63
+    level: str = ""
+    depth: int = 8
 
     def __post_init__(self) -> None:
         self.require(self.basis >= 1, "basis", "at least 1")
         self.require(0 <= self.ridge < float("inf"), "ridge", "zero or positive")
         self.require(4 <= self.side <= 32, "side", "from 4 to 32")
         self.require(self.lights >= 1, "lights", "at least 1")
+        self.require(self.depth >= 1, "depth", "at least 1")
 
-    def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> LinearModel:
-        """In closed form, from points and albedo alone; the light of `ds` is not looked at."""
+    def fit(self, ds: LightingDataset, key: jax.Array | None = None) -> LinearModel | ClusteredModel:
+        """In closed form, from points and albedo alone; the light of `ds` is not looked at.
+
+        Raises `SpecError` for a file that holds no level, and `FitError` for points where it has no block.
+        """
+        return self._joined(ds) if self.level else self._one_box(ds)
+
+    def _joined(self, ds: LightingDataset) -> ClusteredModel:
+        transport, size, path = ds.transport, max(self.basis, 32), Path(self.level)
+        placed = Placed.load(path / f"{transport.scene.name}.toml" if path.is_dir() else path)
+        basis, block, matrix = joined(
+            placed, standard(side=self.side, functions=size, prior=2 * size, lights=self.lights), ds.measurement_points,
+            transport.samples, transport.receivers, self.basis, self.ridge, transport.bounces, self.depth,
+            fit_albedo(ds).shape[1],
+        )  # fmt: skip
+        weights = jnp.pad(jnp.asarray(matrix), ((0, 0), (0, 0), (0, 1)))
+        return ClusteredModel(jnp.asarray(basis), jnp.asarray(block, jnp.float64), weights)
+
+    def _one_box(self, ds: LightingDataset) -> LinearModel:
         points, samples, scene = ds.measurement_points, ds.transport.samples, ds.transport.scene
         box = Box.around(scene.bounds)
         prior = 2 * max(self.basis, 32)

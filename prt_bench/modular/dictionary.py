@@ -6,6 +6,7 @@ quarter turns. Matrices are computed in float64 and kept in float32.
 
 import json
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Self
 
@@ -21,26 +22,28 @@ from prt_bench.modular.cube import quarter_turn
 from prt_bench.modular.lightfield import WAYS, Grid, contracted, emission, propagation, response, spanning
 from prt_bench.modular.modes import reduced
 from prt_bench.progress import track
+from prt_bench.store import data_folder
 
 SIDES = 4
 """Sides of a block: +x, −z, −x, +z. A quarter turn takes each to the next."""
 FACE_OF_SIDE = (0, 5, 1, 4)
 KINDS: tuple[tuple[int, ...], ...] = ((), (0,), (0, 2), (0, 1), (0, 1, 2), (0, 1, 2, 3))
 """Missing sides of each entry."""
-VERSION = 1
+VERSION = 2
 _LEAST_SIDE = 4
 
 
 class Dictionary(eqx.Module):
     """Reduced operators of all entries K, for B functions within a block, k of lightfields, R of what arrives.
 
-    `basis` [K, n, B] and `read` [K, B, n] as in `modes.Modes`; `leave` [K, 4, k, B] from coefficients of a block to the
-    lightfield that leaves a missing side, 0 at sides that are there; `onwards` [3, k, k], `arrive` [R, k] and `arriving`
-    [n, R] as in `lightfield.Interface`, for light that enters through −x.
+    `basis` [K, n, B], `read` [K, B, n] and `prior` [K, n, p] as in `modes.Modes`; `leave` [K, 4, k, B] from coefficients of a
+    block to the lightfield that leaves a missing side, 0 at sides that are there; `onwards` [3, k, k], `arrive` [R, k] and
+    `arriving` [n, R] as in `lightfield.Interface`, for light that enters through −x.
     """
 
     basis: Float[Array, "K n B"]
     read: Float[Array, "K B n"]
+    prior: Float[Array, "K n p"]
     leave: Float[Array, "K 4 k B"]
     onwards: Float[Array, "3 k k"]
     arrive: Float[Array, "R k"]
@@ -118,10 +121,23 @@ def build(
             for array in (
                 np.stack([_filled(modes.basis, functions) for modes in entries]),
                 np.stack([_filled(modes.read.T, functions).T for modes in entries]),
+                np.stack([_filled(modes.prior, prior) for modes in entries]),
                 leave, onwards, s[:rows, None] * vt[:rows], u[:, :rows],
             )
         )
     )  # fmt: skip
+
+
+@cache
+def standard(**sizes: int) -> Dictionary:
+    """The dictionary of these sizes, as `build` takes them: from the user's cache folder, or computed and put there."""
+    name = "-".join(f"{key}{value}" for key, value in sorted(sizes.items()))
+    path = data_folder() / f"blocks-v{VERSION}-{name}.safetensors"
+    if path.exists():
+        return Dictionary.load(path)
+    dictionary = build(**sizes)
+    dictionary.save(path)
+    return dictionary
 
 
 def _filled(columns: Float[np.ndarray, "n b"], count: int) -> Float[np.ndarray, "n B"]:

@@ -8,6 +8,7 @@ import tomllib
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -128,16 +129,21 @@ def load_level(path: Path) -> Level:
 
     Raises `SpecError` where the file cannot be read as such.
     """
+    return read_level(path)[0]
+
+
+def read_level(path: Path, others: tuple[str, ...] = ()) -> tuple[Level, dict[str, Any]]:
+    """A level from TOML as `load_level` has it, and all that the file says. `others` are keys that it may have besides."""
     try:
         read = tomllib.loads(path.read_text(encoding="utf-8"))
         cells = tuple((int(column), int(row)) for column, row in read["blocks"])
         walls = frozenset(frozenset((int(i), int(j)) for i, j in pair) for pair in read.get("walls", []))
     except (OSError, KeyError, TypeError, ValueError) as reason:
         raise SpecError(f"{path} describes no level ({reason}); give `blocks = [[0, 0], [1, 0]]`") from reason
-    unknown = set(read) - {"blocks", "walls"}
+    unknown = set(read) - {"blocks", "walls", *others}
     if unknown:
         raise SpecError(f"{path} has the unknown keys {sorted(unknown)}; a level has `blocks` and `walls`")
-    return Level(cells, walls)
+    return Level(cells, walls), read
 
 
 class LevelTransfer(eqx.Module):

@@ -13,12 +13,12 @@ import zarr
 import prt_bench as prt
 from data_gen.decisions import FORCIBLE
 from data_gen.fetch import MESHES
-from data_gen.journal import data_folder
 from data_gen.pilot import relative_bias
 from data_gen.skips import skips
 from data_gen.strands import with_strands, without_strands
 from prt_bench.errors import SpecError
 from prt_bench.scene import Scene
+from prt_bench.store import data_folder
 from prt_bench.strands import Strands
 
 TINY: dict[str, Any] = {

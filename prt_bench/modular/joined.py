@@ -1,0 +1,133 @@
+"""A level as one linear map: from light at points of a scene to light at others, all bounces and all blocks in it.
+
+Per block n, W_n reads b from radiosity at points in it; R carries the b of all blocks to those of the next bounce; T has what
+enters through each interface. So y = O [U T] (1 + R + … ) W ρ x. Within a block that is light in the span of U and of what
+arrives through each side; of it the leading functions are kept, for light as the prior of every block has it. Nothing is traced
+or learned: albedo and places of points are all that is taken from a scene.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from prt_bench.linalg import ridge
+from prt_bench.modular.block import observation, on_faces
+from prt_bench.modular.dictionary import Dictionary
+from prt_bench.modular.level import LevelTransfer, transfer
+from prt_bench.modular.placed import Placed
+from prt_bench.points import SurfacePoints
+
+_SMALL = 1e-9  # singular values below this share of the largest are rounding
+
+
+class Joined(NamedTuple):
+    """K functions for each of N blocks: values at the receivers' own block, the block, and the matrix from measured light."""
+
+    basis: Float[np.ndarray, "T K"]
+    block: Int[np.ndarray, " T"]
+    matrix: Float[np.ndarray, "C NK M"]
+
+
+class _Blocks(NamedTuple):
+    """A level's operators in float64, samples in the order of the scene's axes."""
+
+    within: Float[np.ndarray, "N n B"]
+    read: Float[np.ndarray, "N B n"]
+    prior: Float[np.ndarray, "N n p"]
+    entering: list[tuple[Float[np.ndarray, "I n R"], Float[np.ndarray, "I R NB"]]]
+    """For each block, of every interface into it: light at the samples, and what enters by the coefficients of all blocks."""
+
+
+def joined(
+    placed: Placed, dictionary: Dictionary, measured: SurfacePoints, samples: SurfacePoints, receivers: SurfacePoints,
+    functions: int, ridge_factor: float, bounces: int, depth: int = 8, channels: int = 3,
+) -> Joined:  # fmt: skip
+    """Indirect light at `receivers` from direct light at the points `measured`; `samples` tell the albedo of the faces.
+
+    `ridge_factor` is relative to the prior's light at the points; `depth` interfaces are passed at most. Raises `FitError` for
+    points where the level has no block.
+    """
+    blocks = _operators(transfer(placed.level, dictionary, depth))
+    side, count, size = dictionary.side, len(placed.boxes), dictionary.read.shape[1]
+    by_measured, by_sample, by_receiver = (placed.owner(points) for points in (measured, samples, receivers))
+
+    reading = np.zeros((channels, count, size, len(measured)))
+    onwards = np.zeros((channels, count, size, count * size))
+    spread = np.zeros((count, size, blocks.prior.shape[2]))
+    for n, box in enumerate(placed.boxes):
+        rows = np.flatnonzero(by_measured == n)
+        points = measured[rows]
+        spread[n] = blocks.read[n] @ blocks.prior[n]
+        first = _estimate(observation(box, points, side) @ blocks.prior[n], spread[n], ridge_factor)
+        reading[:, n][:, :, rows] = first * np.asarray(points.albedo[:, :channels], float).T[:, None]
+        points = samples[by_sample == n]
+        albedo = on_faces(observation(box, points, side), np.asarray(points.albedo[:, :channels], float))
+        for c in range(channels):
+            reflects = blocks.read[n] * albedo[:, c]
+            onwards[c, n, :, n * size : (n + 1) * size] = reflects @ blocks.within[n]
+            for light, arrives in zip(*blocks.entering[n], strict=True):
+                onwards[c, n] += (reflects @ light) @ arrives
+    sums = [_series(each.reshape(count * size, -1), bounces) for each in onwards]
+
+    basis, matrix = np.zeros((len(receivers), functions)), np.zeros((channels, count, functions, len(measured)))
+    for n, box in enumerate(placed.boxes):
+        rows = np.flatnonzero(by_receiver == n)
+        if not len(rows):
+            continue
+        sees = observation(box, receivers[rows], side)
+        shown = np.concatenate([sees @ each for each in (blocks.within[n], *blocks.entering[n][0])], axis=1)
+        own = np.zeros((size, count * size))
+        own[:, n * size : (n + 1) * size] = np.eye(size)
+        q, r = np.linalg.qr(shown)
+        # [C, ·, N B]: light at the receivers on q, from the first bounce of every block
+        caused = np.stack([r @ (np.concatenate([own, *blocks.entering[n][1]]) @ total) for total in sums])
+        likely = np.einsum("cqsb,sbp->qcsp", caused.reshape(*caused.shape[:2], count, size), spread, optimize=True)
+        u, s, _ = np.linalg.svd(likely.reshape(len(r), -1), full_matrices=False)
+        rank = min(functions, int(np.sum(s > _SMALL * s[0])))
+        basis[rows, :rank] = q @ u[:, :rank]
+        matrix[:, n, :rank] = (u[:, :rank].T @ caused) @ reading.reshape(channels, count * size, -1)
+    return Joined(basis, by_receiver, matrix.reshape(channels, count * functions, -1))
+
+
+def _operators(model: LevelTransfer) -> _Blocks:
+    dictionary, kind, back = model.dictionary, np.asarray(model.kind), np.asarray(model.back)
+    within, read, prior, arriving = (
+        np.asarray(getattr(dictionary, name), np.float64) for name in ("basis", "read", "prior", "arriving")
+    )
+    solid, size = np.asarray(model.solid, np.float64), read.shape[1]
+    count, rows = len(kind), arriving.shape[1]
+    enters = np.asarray(model.enters)
+    arrives = np.zeros((len(enters), rows, count * size))
+    for to, source, pair in zip(*map(np.asarray, (model.pair_to, model.pair_from, model.pairs)), strict=True):
+        arrives[to, :, source * size : (source + 1) * size] = pair
+    light = arriving[np.asarray(model.entry_back)] * solid[enters][:, :, None]
+    return _Blocks(
+        np.stack([within[k][order] for k, order in zip(kind, back, strict=True)]) * solid[:, :, None],
+        np.stack([read[k][:, order] for k, order in zip(kind, back, strict=True)]),
+        np.stack([prior[k][order] for k, order in zip(kind, back, strict=True)]),
+        [(light[enters == n], arrives[enters == n]) for n in range(count)],
+    )
+
+
+def _estimate(
+    seen: Float[np.ndarray, "M p"], wanted: Float[np.ndarray, "B p"], factor: float
+) -> Float[np.ndarray, "B M"]:
+    """The best linear estimate of what the prior has at `wanted` from what it has at the points, a ridge regression."""
+    if not len(seen):
+        return np.zeros((len(wanted), 0))
+    spare = -len(seen) % 64  # points without light change nothing, and few shapes are compiled
+    damping = factor * np.sum(seen**2) / max(len(seen), 1)
+    padded: Array = jnp.pad(jnp.asarray(seen), ((0, spare), (0, 0)))
+    return np.asarray(ridge(padded, jnp.asarray(wanted), jnp.asarray(damping)))[:, : len(seen)]
+
+
+def _series(onwards: Float[np.ndarray, "B B"], bounces: int) -> Float[np.ndarray, "B B"]:
+    """1 + R + … + R^(bounces − 1), by halves."""
+    identity = np.eye(len(onwards))
+    if bounces == 1:
+        return identity
+    half = _series(onwards, bounces // 2)
+    total = half + np.linalg.matrix_power(onwards, bounces // 2) @ half
+    return identity + onwards @ total if bounces % 2 else total

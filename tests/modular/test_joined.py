@@ -1,0 +1,124 @@
+"""Levels in a scene: where blocks lie, and the one linear map that a level is against the level's own bounces."""
+
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import prt_bench as prt
+from data_gen.bake import bake
+from data_gen.levels import EDGE, scene_of
+from data_gen.scenes import load_scene
+from data_gen.scenes.maze import BLOCKS, SEED
+from prt_bench.errors import FitError, SpecError
+from prt_bench.metrics import relative_rmse
+from prt_bench.modular.joined import joined
+from prt_bench.modular.level import Level, maze, transfer
+from prt_bench.modular.placed import Placed
+from prt_bench.points import SurfacePoints
+
+LEVELS = Path(__file__).parents[2] / "experiments" / "levels"
+ROW = Level(((0, 0), (1, 0), (1, 1)))
+LINES = ((1.0, 3.0, 8.0), (-2.0, 0.0, 1.0), (0.5, 3.5))  # rooms of 2 m and 5 m by 2 m and 1 m, 3 m high
+RNG = np.random.default_rng(3)
+
+
+def on_blocks(placed, side, albedo):
+    """The samples of all blocks, where the placed level has them."""
+    position, normal = placed.level.points(side)
+    middle = np.array([(column, 0.0, row) for column, row in placed.level.cells])[:, None]
+    place = (
+        np.stack([box.low for box in placed.boxes])[:, None]
+        + (position - middle + 0.5) * np.stack([box.extent for box in placed.boxes])[:, None]
+    )
+    count = place.shape[0] * place.shape[1]
+    every = np.broadcast_to(normal, place.shape).reshape(-1, 3)
+    return SurfacePoints(
+        place.reshape(-1, 3), every, albedo.reshape(-1, 3), np.zeros(count, int), np.full((count, 3), 1.0 / 3.0)
+    )
+
+
+@pytest.mark.parametrize("bounces", [1, 3, 4])
+def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bounces):
+    """Light in the span of the prior, at every sample; rooms are stretched, which changes neither side."""
+    placed, side = Placed(ROW, *LINES), dictionary.side
+    model = transfer(ROW, dictionary)
+    albedo = np.repeat(RNG.uniform(0.2, 0.8, (3, 6, 3)), side * side, axis=1)
+    points = on_blocks(placed, side, albedo)
+    likely = np.stack([np.asarray(dictionary.prior[kind])[back] for kind, back in zip(model.kind, model.back)])  # noqa: B905
+    radiosity = np.einsum("nsp,npc->nsc", likely, RNG.normal(size=(3, likely.shape[2], 3)))
+    direct = radiosity / albedo
+    wanted = np.asarray(model(jnp.asarray(direct), jnp.asarray(albedo), bounces))
+    basis, block, matrix = joined(placed, dictionary, points, points, points, 200, 1e-12, bounces)
+    coefficients = np.einsum("cqm,mc->qc", matrix, direct.reshape(-1, 3)).reshape(3, 200, 3)
+    found = np.einsum("tk,tkc->tc", basis, coefficients[block]).reshape(wanted.shape)
+    assert relative_rmse(found, wanted) < 1e-5
+    few, _, _ = joined(placed, dictionary, points, points, points, 12, 1e-12, bounces)
+    assert few.shape == (len(points), 12)
+    for n in range(3):
+        np.testing.assert_allclose(few[block == n].T @ few[block == n], np.eye(12), atol=1e-9)
+
+
+def test_points_on_a_wall_belong_to_the_block_they_face():
+    placed = Placed(ROW, *LINES)
+    position = np.array([[3.0, 1.0, -1.0], [3.0, 1.0, -1.0], [7.9, 1.0, 0.5], [-5.0, 1.0, -1.0]])
+    normal = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    points = SurfacePoints(position, normal, np.ones((4, 3)), np.zeros(4, int), np.full((4, 3), 1.0 / 3.0))
+    assert placed.owner(points).tolist() == [0, 1, 2, 0]
+    points = replace(points, position=position - np.array([2.5, 0.0, -1.5]))
+    with pytest.raises(FitError, match=r"lies in cell \[0, 1\], where the level has no block"):
+        placed.owner(points)
+
+
+def test_the_file_of_the_maze_is_the_maze():
+    placed, level = Placed.load(LEVELS / "maze.toml"), maze(BLOCKS, SEED)
+    for box, (column, row) in zip(placed.boxes, level.cells, strict=True):
+        np.testing.assert_allclose(box.low + 0.5 * box.extent, (EDGE * column, 0.0, EDGE * row))
+    assert placed.level.open == level.open
+    assert np.all(placed.owner(on_blocks(placed, 4, np.ones((BLOCKS, 96, 3)))) == np.repeat(np.arange(BLOCKS), 96))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("blocks = [[0, 0]]", "add columns, rows, heights in metres"),
+        ("blocks = [[0, 0]]\ncolumns = [0, 1]\nrows = [1, 0]\nheights = [0, 1]", "rows of a level must be numbers that rise"),
+        ("blocks = [[1, 0]]\ncolumns = [0, 1]\nrows = [0, 1]\nheights = [0, 1]", r"block \[1, 0\] of a level lies beyond"),
+        ("blocks = [[0, 0]]\ncolumns = [0, 1]\nrows = [0, 1]\nheights = [0, 1, 2]", "two heights"),
+        ("blocks = [[0, 0]]\ncolumns = [0, 'a']\nrows = [0, 1]\nheights = [0, 1]", "lists of numbers in metres"),
+        ("blocks = [[0, 0]]\nlines = 3", "unknown keys"),
+    ],
+)  # fmt: skip
+def test_files_that_place_no_level_are_refused(tmp_path, text, told):
+    path = tmp_path / "level.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SpecError, match=told):
+        Placed.load(path)
+
+
+def test_a_level_is_lit_by_a_method_that_has_never_seen_it(dictionary, tmp_path, monkeypatch):
+    """Two rooms with a wall between: a box about both spreads light through the wall, two blocks do not."""
+    monkeypatch.setattr(import_module("prt_bench.methods.modular"), "standard", lambda **_: dictionary)
+    level = Level(((0, 0), (1, 0)), frozenset({frozenset({(0, 0), (1, 0)})}))
+    ds = bake(scene_of(level, ((0.6, 0.5, 0.4),) * 6), "point", 24, 32, 64, 192, seed=0, out=tmp_path / "data")
+    path = tmp_path / "level-2.toml"
+    path.write_text(
+        "blocks = [[0, 0], [1, 0]]\nwalls = [[[0, 0], [1, 0]]]\n"
+        "columns = [-1.5, 1.5, 4.5]\nrows = [-1.5, 1.5]\nheights = [-1.5, 1.5]\n",
+        encoding="utf-8",
+    )
+    test = ds.split("test")
+
+    def error(**settings):
+        model = prt.method("modular", basis=16, **settings).fit(ds.split("train"))
+        return relative_rmse(np.asarray(model.predict(test)), test.indirect)
+
+    assert error(level=str(tmp_path)) < 0.3
+    assert error() > 0.4
+
+
+def test_the_scene_is_one_of_the_built_in_ones():
+    assert load_scene("maze").name == "maze"
