@@ -17,10 +17,9 @@ from jaxtyping import Array, Float
 from safetensors.numpy import load_file, save_file
 
 from prt_bench.errors import FitError, SpecError
-from prt_bench.linalg import svd
 from prt_bench.modular.cube import quarter_turn
 from prt_bench.modular.lightfield import WAYS, Grid, contracted, emission, propagation, response, spanning
-from prt_bench.modular.modes import reduced
+from prt_bench.modular.modes import factors, reduced
 from prt_bench.progress import track
 from prt_bench.store import data_folder
 
@@ -113,7 +112,7 @@ def build(
     for (kind, each), field in zip(owners, fields, strict=True):
         leave[kind, each, :, : field.shape[1]] = span.T @ field
     onwards = np.stack([contracted(span.T @ (way @ span)) for way in track(ways, "interfaces")])
-    u, s, vt = (np.asarray(factor) for factor in svd(jnp.asarray(response(side, grid) @ span)))
+    u, s, vt = factors(response(side, grid) @ span)
     rows = min(arriving, len(s))
     return Dictionary(
         *(

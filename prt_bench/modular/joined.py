@@ -16,6 +16,7 @@ from prt_bench.linalg import ridge
 from prt_bench.modular.block import observation, on_faces
 from prt_bench.modular.dictionary import Dictionary
 from prt_bench.modular.level import LevelTransfer, transfer
+from prt_bench.modular.modes import factors
 from prt_bench.modular.placed import Placed
 from prt_bench.points import SurfacePoints
 
@@ -84,7 +85,7 @@ def joined(
         # [C, ·, N B]: light at the receivers on q, from the first bounce of every block
         caused = np.stack([r @ (np.concatenate([own, *blocks.entering[n][1]]) @ total) for total in sums])
         likely = np.einsum("cqsb,sbp->qcsp", caused.reshape(*caused.shape[:2], count, size), spread, optimize=True)
-        u, s, _ = np.linalg.svd(likely.reshape(len(r), -1), full_matrices=False)
+        u, s, _ = factors(likely.reshape(len(r), -1))
         rank = min(functions, int(np.sum(s > _SMALL * s[0])))
         basis[rows, :rank] = q @ u[:, :rank]
         matrix[:, n, :rank] = (u[:, :rank].T @ caused) @ reading.reshape(channels, count * size, -1)

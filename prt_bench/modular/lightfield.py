@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array, vstack
 
-from prt_bench.linalg import leading_basis, svd
+from prt_bench.linalg import leading_basis
 from prt_bench.modular.cube import Met, bilinear, cosine_rays, disk, interpolation, meet, sample_points, square
+from prt_bench.modular.modes import factors
 
 Way = Literal["straight", "left", "right"]
 WAYS: tuple[Way, ...] = get_args(Way)
@@ -136,5 +137,5 @@ def _leading(columns: np.ndarray, count: int) -> np.ndarray:
 
 def contracted(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
     """The nearest matrix with no singular value above 1: light that passes through a block is not amplified."""
-    u, s, vt = (np.asarray(factor) for factor in svd(jnp.asarray(matrix)))
+    u, s, vt = factors(matrix)
     return (u * np.minimum(s, 1.0)) @ vt

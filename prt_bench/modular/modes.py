@@ -42,6 +42,15 @@ class Modes(NamedTuple):
     prior: Float[np.ndarray, "n k"]
 
 
+def factors(matrix: Float[np.ndarray, "m n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Thin SVD U, σ, Vᵀ as NumPy arrays."""
+    u, s, vt = _svd(jnp.asarray(matrix))
+    return np.asarray(u), np.asarray(s), np.asarray(vt)
+
+
+_svd = jax.jit(svd)  # one compilation for a shape, where its drivers one by one are a dozen
+
+
 def present(side: int, missing: Sequence[int]) -> Bool[np.ndarray, " n"]:
     """Which samples lie on faces that are there."""
     return ~np.isin(np.repeat(np.arange(FACES), side * side), np.asarray(missing, int))
@@ -94,7 +103,7 @@ def enriched(parts: Sequence[Float[np.ndarray, "n k"]], count: int) -> tuple[np.
         raise FitError("no light at all is to be in the prior of a block; put lights into it")
     columns = np.concatenate(kept, axis=1)
     spare = -columns.shape[1] % _COLUMNS  # zeros change nothing on the left, and few shapes are compiled
-    u, s, _ = (np.asarray(factor) for factor in svd(jnp.asarray(np.pad(columns, ((0, 0), (0, spare))))))
+    u, s, _ = factors(np.pad(columns, ((0, 0), (0, spare))))
     rank = min(count, int(np.sum(s > _FLOOR * s[0])))
     return u[:, :rank], s[:rank]
 
@@ -118,7 +127,7 @@ def reduced(side: int, missing: Sequence[int], functions: int = 32, prior: int =
 
 def _modes(transport: np.ndarray, basis: np.ndarray, weights: np.ndarray, functions: int) -> Modes:
     bounced = transport @ basis
-    u, s, vt = (np.asarray(factor) for factor in svd(jnp.asarray(bounced * weights)))
+    u, s, vt = factors(bounced * weights)
     rank = min(functions, int(np.sum(s > _FLOOR * s[0])))
     u, vt = u[:, :rank], vt[:rank]
     return Modes(u, (u.T @ bounced) @ basis.T, (basis * weights) @ (vt.T / s[:rank]), s, basis * weights)
