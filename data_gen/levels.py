@@ -13,11 +13,13 @@ EDGE = 3.0
 """Metres of a block's edge."""
 WALL = 0.03
 """Metres of a wall's thickness between two blocks: faces that coincided would hide each other from rays."""
+Colours = tuple[tuple[float, float, float], ...]
+"""An albedo for each of the six kinds of face."""
 NAMES = ("wall +x", "wall -x", "ceiling", "floor", "wall +z", "wall -z")
 
 
-def scene_of(level: Level, albedo: tuple[tuple[float, float, float], ...] = ((0.7, 0.7, 0.7),) * 6) -> Scene:
-    """The faces of a level's blocks, fronts inward, with an albedo for each of the six kinds of face.
+def scene_of(level: Level, albedo: Colours = ((0.7, 0.7, 0.7),) * 6) -> Scene:
+    """The faces of a level's blocks, fronts inward.
 
     Block (i, j) is centred at (i, 0, j) · `EDGE`. A wall between two blocks takes half of its thickness from each.
     """
@@ -40,8 +42,8 @@ def scene_of(level: Level, albedo: tuple[tuple[float, float, float], ...] = ((0.
     return Scene(f"level-{len(level.cells)}", assemble(parts), materials, camera)
 
 
-def block_samples(level: Level, side: int) -> SurfacePoints:
-    """The `side`² samples of every face of every block, where the scene of the level has them; albedo 1."""
+def block_samples(level: Level, side: int, albedo: Colours = ((1.0, 1.0, 1.0),) * 6) -> SurfacePoints:
+    """The `side`² samples of every face of every block, where the scene of the level has them, those of missing faces too."""
     position, normal = level.points(side)
     place = EDGE * position.reshape(len(position), FACES, -1, 3)
     normals = normal.reshape(FACES, -1, 3)
@@ -49,7 +51,8 @@ def block_samples(level: Level, side: int) -> SurfacePoints:
         place[block, face] += 0.5 * WALL * normals[face]
     place = place.reshape(-1, 3)
     every = np.broadcast_to(normal, position.shape).reshape(-1, 3)
-    return SurfacePoints(place, every, np.ones_like(every), np.zeros(len(every), int), np.ones_like(every) / 3.0)
+    colour = np.tile(np.repeat(np.array(albedo), side * side, axis=0), (len(position), 1))
+    return SurfacePoints(place, every, colour, np.zeros(len(every), int), np.ones_like(every) / 3.0)
 
 
 def _between(level: Level) -> set[tuple[int, int]]:

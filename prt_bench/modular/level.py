@@ -73,21 +73,36 @@ class Level:
 
         Raises `SpecError` for a point that lies in no block.
         """
+        block, face = self.located(position, normal)
+        columns, weights = bilinear(self.on_face(position, block, face), side)
+        columns = columns + (block * FACES * side * side)[:, None]
+        shape = (len(block), len(self.cells) * FACES * side * side)
+        return csr_array((weights.ravel(), columns.ravel(), 4 * np.arange(len(block) + 1)), shape=shape)
+
+    def located(
+        self, position: Float[np.ndarray, "P 3"], normal: Float[np.ndarray, "P 3"]
+    ) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
+        """Block and face that surfaces at these points, in edges of a block, belong to.
+
+        Raises `SpecError` for a point that lies in no block.
+        """
         index = {cell: at for at, cell in enumerate(self.cells)}
         within = position + 1e-3 * normal
         cells = [(column, row) for column, row in np.round(within[:, [0, 2]]).astype(int).tolist()]
         lost = next((cell for cell in cells if cell not in index), None)
         if lost is not None:
             raise SpecError(f"a point lies in cell {lost}, where the level has no block")
-        block = np.array([index[cell] for cell in cells])
-        local = np.clip(position - np.insert(np.array(cells, float), 1, 0.0, axis=1) + 0.5, 0.0, 1.0)
-        axis, rows = np.argmax(np.abs(normal), axis=1), np.arange(len(block))
-        face = 2 * axis + (normal[rows, axis] > 0)
-        met = Met(face, local[rows, (axis + 1) % 3], local[rows, (axis + 2) % 3])
-        columns, weights = bilinear(met, side)
-        columns = columns + (block * FACES * side * side)[:, None]
-        shape = (len(block), len(self.cells) * FACES * side * side)
-        return csr_array((weights.ravel(), columns.ravel(), 4 * np.arange(len(block) + 1)), shape=shape)
+        axis, rows = np.argmax(np.abs(normal), axis=1), np.arange(len(position))
+        return np.array([index[cell] for cell in cells], int), 2 * axis + (normal[rows, axis] > 0)
+
+    def on_face(
+        self, position: Float[np.ndarray, "P 3"], block: Int[np.ndarray, " P"], face: Int[np.ndarray, " P"]
+    ) -> Met:
+        """Where points lie on faces of these blocks; beyond a face's edge, the nearest place on it."""
+        columns, rows = np.array(self.cells, float)[block].T
+        local = np.clip(position - np.stack([columns, np.zeros(len(block)), rows], axis=1) + 0.5, 0.0, 1.0)
+        axis, points = face // 2, np.arange(len(block))
+        return Met(face, local[points, (axis + 1) % 3], local[points, (axis + 2) % 3])
 
     def surfaces(self) -> list[tuple[int, int]]:
         """(block, face) of all faces that are there."""
@@ -149,37 +164,38 @@ def read_level(path: Path, others: tuple[str, ...] = ()) -> tuple[Level, dict[st
 class LevelTransfer(eqx.Module):
     """Indirect light of a level from the radiosity of its blocks' samples; differentiable in that and in all matrices.
 
-    Blocks N, their `kind` in the dictionary; `order` [N, n] their samples as the entry has them. E pairs (interface, source):
-    `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with the block they lead into and `entry_order` [I, n].
+    Blocks N, each the entry `kind` of the dictionary after `quarters` of a turn; `turns` [4, n] the samples after so many.
+    E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with the block that
+    each `enters`, and `along`, which of the four directions its light has.
     """
 
     dictionary: Dictionary
     kind: Int[Array, " N"]
-    order: Int[Array, "N n"]
-    back: Int[Array, "N n"]
+    quarters: Int[Array, " N"]
+    turns: Int[Array, "4 n"]
     pairs: Float[Array, "E R B"]
     pair_to: Int[Array, " E"]
     pair_from: Int[Array, " E"]
     enters: Int[Array, " I"]
-    entry_back: Int[Array, "I n"]
+    along: Int[Array, " I"]
     solid: Float[Array, "N n"]
 
     def coefficients(self, radiosity: Float[Array, "N n C"]) -> Float[Array, "N B C"]:
         """b of every block."""
-        turned = jnp.take_along_axis(radiosity, self.order[:, :, None], axis=1)
+        turned = jnp.take_along_axis(radiosity, self.turns[-self.quarters % SIDES][:, :, None], axis=1)
         return jnp.einsum("nbs,nsc->nbc", self.dictionary.read[self.kind], turned, precision="highest")
 
     def arriving(self, b: Float[Array, "N B C"]) -> Float[Array, "I R C"]:
         """r of every interface: what enters through it from all blocks."""
         parts = jnp.einsum("erb,ebc->erc", self.pairs, b[self.pair_from], precision="highest")
-        return jax.ops.segment_sum(parts, self.pair_to, len(self.enters))
+        return jax.ops.segment_sum(parts, self.pair_to, len(self.enters), indices_are_sorted=True)
 
     def indirect(self, b: Float[Array, "N B C"], r: Float[Array, "I R C"]) -> Float[Array, "N n C"]:
         """Irradiance at every block's samples; 0 on missing faces."""
         own = jnp.einsum("nsb,nbc->nsc", self.dictionary.basis[self.kind], b, precision="highest")
-        own = jnp.take_along_axis(own, self.back[:, :, None], axis=1)
+        own = jnp.take_along_axis(own, self.turns[self.quarters][:, :, None], axis=1)
         entered = jnp.einsum("sr,irc->isc", self.dictionary.arriving, r, precision="highest")
-        entered = jnp.take_along_axis(entered, self.entry_back[:, :, None], axis=1)
+        entered = jnp.take_along_axis(entered, self.turns[self.along][:, :, None], axis=1)
         return (own + jax.ops.segment_sum(entered, self.enters, len(self.kind))) * self.solid[:, :, None]
 
     def __call__(
@@ -226,17 +242,18 @@ def transfer(level: Level, dictionary: Dictionary, depth: int = 8) -> LevelTrans
             to.append(interfaces[key])
             from_.append(source)
             pairs.append(matrix)
-    shape = (0, arrive.shape[0], leave.shape[3])
+    order = np.argsort(np.array(to, int), kind="stable")
+    stacked = np.stack(pairs)[order] if pairs else np.zeros((0, arrive.shape[0], leave.shape[3]))
     here = np.array([[face not in {FACE_OF_SIDE[side] for side in sides} for face in range(FACES)] for sides in doors])
     return LevelTransfer(
         dictionary,
         jnp.array([kind for kind, _ in entries]),
-        jnp.array([turns[-quarters % SIDES] for _, quarters in entries]),
-        jnp.array([turns[quarters] for _, quarters in entries]),
-        jnp.asarray(np.stack(pairs) if pairs else np.zeros(shape), jnp.float32),
-        jnp.array(to, jnp.int32),
-        jnp.array(from_, jnp.int32),
+        jnp.array([quarters for _, quarters in entries]),
+        jnp.array(turns),
+        jnp.asarray(stacked, jnp.float32),
+        jnp.array(np.array(to, int)[order], jnp.int32),
+        jnp.array(np.array(from_, int)[order], jnp.int32),
         jnp.array([block for block, _ in interfaces], jnp.int32),
-        jnp.array(np.array(turns)[np.array([along for _, along in interfaces], int)]),
+        jnp.array([along for _, along in interfaces], jnp.int32),
         jnp.asarray(np.repeat(here, dictionary.side**2, axis=1), jnp.float32),
     )

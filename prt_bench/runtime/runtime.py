@@ -26,15 +26,8 @@ from prt_bench.runtime.measure import MeasurePass
 from prt_bench.runtime.measured import MeasuredAsset
 from prt_bench.runtime.mesh import MeshBuffers
 from prt_bench.runtime.projection import camera_matrix
-from prt_bench.runtime.shadow import ShadowPass
+from prt_bench.runtime.shadow import ShadowPass, lighting_defines
 from prt_bench.scene import Camera, Mesh
-
-DEPTH_OFFSET = 0.25
-"""How far before its receiver an occluder must lie to cast a shadow, in shadow texels."""
-SURFACE_END = 1.0
-"""How far behind a surface a shadow texel's depth may lie and still belong to it, in shadow texels."""
-RAY_OFFSET = 2.0**-14
-"""Offset of shadow rays relative to the scene's size, as in the bake; added to DEPTH_OFFSET."""
 
 
 class Runtime:
@@ -57,14 +50,7 @@ class Runtime:
         self.context = context or headless()
         self.scene, self.size, self._shadow_resolution = ds.scene, size, shadow_resolution
         self.look_from(camera or ds.scene.camera)
-        magnitude = max(float(np.abs(ds.scene.bounds).max()), ds.scene.extent)
-        self._lighting_defines = {
-            "DEPTH_OFFSET": f"{DEPTH_OFFSET:.9e}",
-            "SURFACE_END": f"{SURFACE_END:.9e}",
-            "RAY_OFFSET": f"{RAY_OFFSET * magnitude:.9e}",
-            "ATLAS_SIZE": f"{shadow_resolution}.0",
-            **({"SHADOWS": 1} if shadows else {}),
-        }
+        self._lighting_defines = lighting_defines(ds.scene, shadow_resolution, shadows)
         vertices, walks = ds.transport.vertices, ds.transport.walks
         corner = vertices and vertices.corner
         bodies = ds.scene.translucent or ds.scene.strands is None  # without strands all walks are through bodies
