@@ -3,18 +3,16 @@
 Builds the dictionary (seconds, bytes, singular values that hold 80, 90 and 95 % of the energy, beside the source paper's).
 Random mazes are then lit by a light in each of some blocks; indirect light after one bounce and after all of them is compared
 with the traced operator of the level's own mesh, beside `operator-ridge` fitted to that level and an ambient term (the mean
-direct light times the factor that fits best). Last, milliseconds of each stage on one core against the number of blocks.
+direct light times the factor that fits best). What a frame of such a maze costs is in `level_runtime.py`.
 
-    python experiments/modular.py [--blocks 2 11 41] [--timed 1 11 41 200] [--texels 128] [--data FOLDER]
+    python experiments/modular.py [--blocks 2 11 41] [--texels 128] [--data FOLDER]
 
 Draws the floor of the second maze: traced, modular, and their difference. Keeps the dictionary beside the bakes.
 """
 
-import os
 import time
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,24 +25,22 @@ from data_gen.levels import EDGE, block_samples, scene_of
 from data_gen.tracer import Tracer
 from prt_bench.lights import emitters
 from prt_bench.metrics import relative_rmse
-from prt_bench.modular.cube import FACES, one_bounce
+from prt_bench.modular.cube import one_bounce
 from prt_bench.modular.dictionary import Dictionary, build
-from prt_bench.modular.level import LevelTransfer, maze, transfer
+from prt_bench.modular.level import maze, transfer
 from prt_bench.modular.modes import _modes, direct_light, enriched, needed
 from prt_bench.store import data_folder
-from prt_bench.timing import interleaved
 from prt_bench.transport import indirect
 
 SHARES = (0.8, 0.9, 0.95)
 PAPER = {"F": (164, 240, 313), "L": (22, 41, 62), "M": (1, 5, 8)}
-PAPER_MS = {11: 1.4, 41: 6.2}
 ALBEDO = ((0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
 LIT = 12  # lightings that are compared
 PIXELS = 40  # of a picture along a block
 
 
 def main() -> None:
-    parser = arguments(__doc__, "modular.webp", blocks=[2, 11, 41], timed=[1, 11, 41, 200], texels=128, rays=256)
+    parser = arguments(__doc__, "modular.webp", blocks=[2, 11, 41], texels=128, rays=256)
     settings = parser.parse_args()
     folder = settings.data or data_folder()
     started = time.perf_counter()
@@ -61,8 +57,6 @@ def main() -> None:
         rows += found
         shown = picture if shown is None or count == settings.blocks[min(1, len(settings.blocks) - 1)] else shown
     table(("blocks", "bounces", "modular", "operator-ridge b64", "ambient", "energy, modular / traced", "noise"), rows)
-    print()
-    table(("blocks", "b", "r", "light", "all, ms", "paper, x86", "pairs", "MB"), timings(dictionary, settings.timed))
     if shown is not None:
         draw(settings.out, *shown)
 
@@ -128,44 +122,6 @@ def ambient_error(direct: np.ndarray, wanted: np.ndarray) -> float | None:
     """Of the mean direct light times one factor, chosen with the answer known."""
     term = np.broadcast_to(direct.mean(axis=1, keepdims=True), wanted.shape)
     return relative_rmse(np.sum(term * wanted) / np.sum(term * term) * term, wanted)
-
-
-def timings(dictionary: Dictionary, counts: list[int]) -> list[tuple]:
-    """Medians of the three stages and of all, on one core, and the size of the level's operator."""
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})
-    works, models = {}, {}
-    for count in counts:
-        models[count] = model = transfer(maze(count, seed=0), dictionary)
-        light = jnp.ones((count, FACES * dictionary.side**2, 3), jnp.float32)
-        b = model.coefficients(light)
-        r = model.arriving(b)
-        for name, call, given in (
-            ("b", LevelTransfer.coefficients, (light,)),
-            ("r", LevelTransfer.arriving, (b,)),
-            ("light", LevelTransfer.indirect, (b, r)),
-            ("all", once_through, (light,)),
-        ):
-            works[count, name] = jax.jit(call).lower(model, *given).compile(), (model, *given)
-
-    def clock(work: tuple) -> float:
-        started = time.perf_counter()
-        jax.block_until_ready(work[0](*work[1]))
-        return (time.perf_counter() - started) * 1e3
-
-    found = interleaved(works, clock, 15, 2)
-    os.sched_setaffinity(0, cores)
-    return [
-        (count, *(f"{found[count, name].median:.2f}" for name in ("b", "r", "light", "all")), PAPER_MS.get(count, ""),
-         len(models[count].pairs), f"{models[count].pairs.nbytes / 1e6:.1f}")
-        for count in counts
-    ]  # fmt: skip
-
-
-def once_through(model: LevelTransfer, radiosity: jax.Array) -> jax.Array:
-    """All three stages."""
-    b = model.coefficients(radiosity)
-    return model.indirect(b, model.arriving(b))
 
 
 def draw(path: Path, ds: prt.LightingDataset, wanted: np.ndarray, found: np.ndarray) -> None:

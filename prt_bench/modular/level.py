@@ -209,10 +209,15 @@ class LevelTransfer(eqx.Module):
         return light
 
 
-def transfer(level: Level, dictionary: Dictionary, depth: int = 8) -> LevelTransfer:
-    """Carry every block's lightfields through up to `depth` interfaces, and set up the operators of the level."""
+def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: float = 1e-3) -> LevelTransfer:
+    """Carry every block's lightfields through up to `depth` interfaces, and set up the operators of the level.
+
+    Of the pairs of one source the weakest are left out, as many as together hold `tolerance`² of the squares of all.
+    """
     if depth < 1:
         raise SpecError(f"light in a level passes through at least 1 interface, not {depth}")
+    if not 0 <= tolerance < 1:
+        raise SpecError(f"the tolerance of a level's pairs is from 0 to below 1, not {tolerance}")
     doors = level.open
     entries = [entry_of(sides) for sides in doors]
     turns = [np.arange(dictionary.basis.shape[1])]
@@ -238,10 +243,14 @@ def transfer(level: Level, dictionary: Dictionary, depth: int = 8) -> LevelTrans
                     if exit_ in doors[block]:
                         following[doors[block][exit_], exit_] += way @ light
             front = following
-        for key, matrix in summed.items():
-            to.append(interfaces[key])
-            from_.append(source)
-            pairs.append(matrix)
+        squares = {key: float(np.sum(matrix**2)) for key, matrix in summed.items()}
+        spare = tolerance**2 * sum(squares.values())
+        for key in sorted(summed, key=squares.__getitem__):
+            spare -= squares[key]
+            if spare < 0:
+                to.append(interfaces[key])
+                from_.append(source)
+                pairs.append(summed[key])
     order = np.argsort(np.array(to, int), kind="stable")
     stacked = np.stack(pairs)[order] if pairs else np.zeros((0, arrive.shape[0], leave.shape[3]))
     here = np.array([[face not in {FACE_OF_SIDE[side] for side in sides} for face in range(FACES)] for sides in doors])

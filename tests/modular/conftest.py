@@ -1,8 +1,11 @@
-"""A small dictionary of blocks, built once."""
+"""A small dictionary of blocks, built once; and one of any numbers, where it does not matter what they are."""
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from prt_bench.modular.dictionary import Dictionary, build
+from prt_bench.modular.cube import FACES
+from prt_bench.modular.dictionary import KINDS, SIDES, Dictionary, build
 from prt_bench.modular.lightfield import Grid
 
 SIDE, GRID = 8, Grid(8, 14)
@@ -11,3 +14,11 @@ SIDE, GRID = 8, Grid(8, 14)
 @pytest.fixture(scope="session")
 def dictionary() -> Dictionary:
     return build(SIDE, functions=24, prior=40, lights=40, grid=GRID, lightfields=64, arriving=24)
+
+
+@pytest.fixture(scope="session")
+def any_dictionary() -> Dictionary:
+    """Sizes all differ, so that none can stand for another."""
+    random, n = np.random.default_rng(0), FACES * SIDE**2
+    shapes = (len(KINDS), n, 20), (len(KINDS), 20, n), (len(KINDS), SIDES, 14, 20), (3, 14, 14), (12, 14), (n, 12)
+    return Dictionary(*(jnp.asarray(random.random(shape) / shape[-1], jnp.float32) for shape in shapes))

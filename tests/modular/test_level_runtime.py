@@ -10,16 +10,14 @@ from data_gen.tracer import Tracer
 from prt_bench.errors import AssetError, RuntimeUnavailable
 from prt_bench.lights import Lighting, PointLight, SpotLight, emitters
 from prt_bench.modular.atlas import LevelAtlas
-from prt_bench.modular.cube import FACES
-from prt_bench.modular.dictionary import KINDS, SIDES, Dictionary
 from prt_bench.modular.level import Level, maze, transfer
 from prt_bench.runtime import headless
 from prt_bench.runtime.level import LevelRuntime
 from prt_bench.scene import Camera
 
-pytestmark = pytest.mark.gl
+from .conftest import SIDE
 
-SIDE = 8
+pytestmark = pytest.mark.gl
 ALBEDO = ((0.7, 0.7, 0.6), (0.7, 0.5, 0.7), (0.6, 0.7, 0.7), (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
 LIGHT = Lighting(
     [PointLight((0.4, 0.7, 0.3), (9.0, 8.0, 7.0)), SpotLight((2.5, 0.9, -0.4), (0.4, -1.0, 0.2), (5.0, 9.0, 4.0))]
@@ -35,22 +33,14 @@ def gl():
 
 
 @pytest.fixture(scope="module")
-def dictionary() -> Dictionary:
-    """Any numbers, of sizes that all differ: whether they are those of a cube is no concern here."""
-    random, n = np.random.default_rng(0), FACES * SIDE**2
-    shapes = (len(KINDS), n, 20), (len(KINDS), 20, n), (len(KINDS), SIDES, 14, 20), (3, 14, 14), (12, 14), (n, 12)
-    return Dictionary(*(jnp.asarray(random.random(shape) / shape[-1], jnp.float32) for shape in shapes))
-
-
-@pytest.fixture(scope="module")
 def level():
     return maze(5, seed=1)
 
 
 @pytest.fixture(scope="module")
-def loaded(level, dictionary):
+def loaded(level, any_dictionary):
     points = block_samples(level, SIDE, ALBEDO)
-    operator = transfer(level, dictionary)
+    operator = transfer(level, any_dictionary)
     return operator, points, LevelRuntime(
         LevelAtlas(level, SIDE), operator, scene_of(level, ALBEDO), points, EDGE, (64, 64), 1024
     )  # fmt: skip
@@ -90,7 +80,7 @@ def test_a_frame_shows_the_floor_on_both_sides_of_a_seam_and_on_it(level, loaded
         runtime.frame(LIGHT, direct=False, indirect=False)
 
 
-def test_what_is_not_of_one_level_is_refused(level, loaded, dictionary):
+def test_what_is_not_of_one_level_is_refused(level, loaded, any_dictionary):
     operator, points, _ = loaded
     other = Level(((0, 0), (1, 0)))
     for atlas, given in ((LevelAtlas(other, SIDE), points), (LevelAtlas(level, SIDE), points[:9])):
@@ -98,9 +88,9 @@ def test_what_is_not_of_one_level_is_refused(level, loaded, dictionary):
             LevelRuntime(atlas, operator, scene_of(level), given, EDGE)
 
 
-def test_one_closed_block_has_no_interfaces(dictionary):
+def test_one_closed_block_has_no_interfaces(any_dictionary):
     level = Level(((0, 0),))
-    operator, points = transfer(level, dictionary), block_samples(level, SIDE, ALBEDO)
+    operator, points = transfer(level, any_dictionary), block_samples(level, SIDE, ALBEDO)
     runtime = LevelRuntime(LevelAtlas(level, SIDE), operator, scene_of(level, ALBEDO), points, EDGE, (8, 8), 256)
     direct, found = runtime.solve(LIGHT)
     wanted = operator(jnp.asarray(direct), jnp.asarray(points.albedo.reshape(found.shape), jnp.float32))
