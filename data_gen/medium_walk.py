@@ -96,31 +96,67 @@ def follow(
 
     `key` chooses each walk's random numbers, so that a walk does not depend on the others.
     """
-    count = len(key)
-    nowhere = (np.zeros(count, dtype) for dtype in (np.int32, np.float32, np.float32, np.int32))
-    ends = Ends(np.full(count, Fate.LOST, np.int8), *nowhere)  # pyright: ignore[reportCallIssue]
-    walks = _Walks(body, channel, ends, position, normal, direction, key)
+    return _followed(body, (channel,), position, normal, direction, key)[0]
+
+
+def follow_all(
+    body: Body,
+    channels: int,
+    position: Float[np.ndarray, "n 3"],
+    normal: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, "n 3"],
+    key: Int[np.ndarray, " n"],
+) -> list[Ends]:
+    """What `follow` gives for each of the first channels. Those of one mean free path share their walks, which costs as
+    much as the least absorbed of them alone."""
+    extinction = body.medium.extinction[:channels]
+    found: dict[int, Ends] = {}
+    for shared in np.unique(extinction):
+        group = tuple(map(int, np.flatnonzero(extinction == shared)))
+        found |= dict(zip(group, _followed(body, group, position, normal, direction, key), strict=True))
+    return [found[channel] for channel in range(channels)]
+
+
+def _followed(
+    body: Body,
+    channels: tuple[int, ...],
+    position: np.ndarray,
+    normal: np.ndarray,
+    direction: np.ndarray,
+    key: np.ndarray,
+) -> tuple[Ends, ...]:
+    """Ends of walks by channel, all of which have one extinction."""
+    ends = tuple(_nowhere(len(key)) for _ in channels)
+    walks = _Walks(body, channels, ends, position, normal, direction, key)
     blocks = [slice(at, at + _BLOCK) for at in range(0, len(key), _BLOCK)]
     with body.tracer.pool() as executor:
         list(executor.map(walks.run, blocks))
     return ends
 
 
+def _nowhere(count: int) -> Ends:
+    """Ends to be filled in."""
+    places = (np.zeros(count, dtype) for dtype in (np.int32, np.float32, np.float32, np.int32))
+    return Ends(np.full(count, Fate.LOST, np.int8), *places)  # pyright: ignore[reportCallIssue]
+
+
 @dataclass(frozen=True)
 class _Walks:
-    """Walks in one channel of a body; `run` follows a block of them."""
+    """Walks that some channels of a body share; `run` follows a block of them."""
 
     body: Body
-    channel: int
-    ends: Ends
+    channels: tuple[int, ...]
+    ends: tuple[Ends, ...]
     position: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
     direction: Float[np.ndarray, "n 3"]
     key: Int[np.ndarray, " n"]
 
     @cached_property
-    def _medium(self) -> tuple[float, float]:
-        return float(self.body.medium.extinction[self.channel]), float(self.body.medium.albedo[self.channel])
+    def _medium(self) -> tuple[float, list[float]]:
+        """The extinction and, by channel, the albedo."""
+        medium = self.body.medium
+        return float(medium.extinction[self.channels[0]]), [float(medium.albedo[channel]) for channel in self.channels]
 
     def run(self, block: slice) -> None:
         """Follow the walks of a block, new ones taking the place of those that ended."""
@@ -138,13 +174,14 @@ class _Walks:
         ior, n, away = self.body.medium.ior, self.normal[walk], self.direction[walk]
         cosine = np.clip(np.einsum("nd,nd->n", away, n), 0.0, 1.0)
         reflected = uniform(self.key[walk], _ENTRY) < fresnel(cosine, ior)
-        self.ends.fate[walk[reflected]] = Fate.REFLECTED
+        for ends in self.ends:
+            ends.fate[walk[reflected]] = Fate.REFLECTED
         walk, n, away, cosine = walk[~reflected], n[~reflected], away[~reflected], cosine[~reflected]
         # Snell's law, for light that arrives along −away.
         through = np.sqrt(1.0 - (1.0 - cosine**2) / ior**2)
         inside = (cosine / ior - through)[:, None] * n - away / ior
         place = self.position[walk] - self.body.centre - self.body.gap * n
-        return _Active(walk, place, normalised(inside), np.ones(len(walk), np.uint64))
+        return _Active(walk, place, normalised(inside), np.ones(len(walk), np.uint64), np.full(len(walk), -1.0))
 
     def _advance(self, active: "_Active") -> "_Active":
         """One event of each walk: a collision in the medium, or the boundary."""
@@ -156,16 +193,18 @@ class _Walks:
         face = found["primID"]
         met = face >= 0
         lost = ~met & (step >= 4.0 * body.extent)
-        self.ends.fate[active.walk[lost]] = Fate.LOST
+        self._end(active, np.flatnonzero(lost), Fate.LOST)
 
         away = ~met & ~lost
         place = active.place + np.where(met, found["tfar"], step)[:, None] * active.direction
-        direction, going = active.direction.copy(), ~lost
-        choice = uniform(key, np.uint64(1))
-        absorbed = away & (choice >= albedo)
-        self.ends.fate[active.walk[absorbed]] = Fate.ABSORBED
-        going &= ~absorbed
-        some = np.flatnonzero(away & ~absorbed)
+        direction, choice = active.direction.copy(), uniform(key, np.uint64(1))
+        toll = np.where(away, np.maximum(active.toll, choice), active.toll)
+        for ends, share in zip(self.ends, albedo, strict=True):
+            absorbed = np.flatnonzero((active.toll < share) & (toll >= share))
+            ends.fate[active.walk[absorbed]], ends.events[active.walk[absorbed]] = Fate.ABSORBED, active.count[absorbed]
+        active = active._replace(toll=toll)
+        going = ~lost & (toll < max(albedo))
+        some = np.flatnonzero(away & going)
         direction[some] = scattered(
             active.direction[some],
             body.medium.anisotropy,
@@ -181,29 +220,38 @@ class _Walks:
         some, normal, cosine = some[outward], normal[outward], cosine[outward]
         out = choice[some] >= fresnel(np.minimum(cosine, 1.0), 1.0 / body.medium.ior)
         leaving, back = some[out], some[~out]
-        walk = active.walk[leaving]
-        self.ends.fate[walk] = Fate.ESCAPED
-        self.ends.face[walk], self.ends.u[walk], self.ends.v[walk] = (
-            found[name][leaving] for name in ("primID", "u", "v")
-        )
+        for ends, here in self._end(active, leaving, Fate.ESCAPED):
+            for name, places in (("primID", ends.face), ("u", ends.u), ("v", ends.v)):
+                places[active.walk[here]] = found[name][here]
         going[leaving] = False
         direction[back] -= 2.0 * cosine[~out, None] * normal[~out]
         place[back] -= body.gap * normal[~out]
 
         old = going & (active.count >= LONGEST)
-        self.ends.fate[active.walk[old]] = Fate.ALIVE
+        self._end(active, np.flatnonzero(old), Fate.ALIVE)
         going &= ~old
-        self.ends.events[active.walk[~going]] = active.count[~going]
-        return _Active(active.walk[going], place[going], direction[going], active.count[going] + np.uint64(1))
+        moved = active._replace(place=place, direction=direction, count=active.count + np.uint64(1))
+        return _Active(*(column[going] for column in moved))
+
+    def _end(self, active: "_Active", here: Int[np.ndarray, " m"], fate: Fate) -> list[tuple[Ends, np.ndarray]]:
+        """End walks in all channels that did not absorb them: the ends of each, and which walks those are."""
+        ended = []
+        for ends, share in zip(self.ends, self._medium[1], strict=True):
+            alive = here[active.toll[here] < share]
+            ends.fate[active.walk[alive]], ends.events[active.walk[alive]] = fate, active.count[alive]
+            ended.append((ends, alive))
+        return ended
 
 
 class _Active(NamedTuple):
-    """Walks on their way: which, where (about the body's middle), in which unit direction, and after how many events."""
+    """Walks on their way: which, where (about the body's middle), in which unit direction, after how many events, and the
+    greatest number that chose between absorption and scattering so far: channels of a greater albedo are alive."""
 
     walk: Int[np.ndarray, " n"]
     place: Float[np.ndarray, "n 3"]
     direction: Float[np.ndarray, "n 3"]
     count: Int[np.ndarray, " n"]
+    toll: Float[np.ndarray, " n"]
 
     def with_more(self, other: "_Active") -> "_Active":
         return _Active(*(np.concatenate(both) for both in zip(self, other, strict=True)))

@@ -117,6 +117,14 @@ def _points(scene: Scene, tracer: Tracer, unit: np.ndarray, grey: bool) -> list[
     return [PointLight(*values, radius) for values in zip(place, intensity, strict=True)]
 
 
+def _behind(scene: Scene, tracer: Tracer, unit: np.ndarray, grey: bool) -> list[Light]:
+    """Point lights beyond what the camera looks at, as the camera sees it."""
+    low, high = near_region(scene)
+    target = np.asarray(scene.camera.target, float)
+    ahead = target - scene.camera.position
+    return _points(scene, tracer, unit[(low + unit[:, :3] * (high - low) - target) @ ahead > 0], grey)
+
+
 def _spots(scene: Scene, tracer: Tracer, unit: np.ndarray, grey: bool) -> list[Light]:
     place, unit, _ = _free_places(scene, tracer, unit)
     cutoff = np.radians(20.0 + 30.0 * unit[:, 6])
@@ -175,6 +183,7 @@ _PROPOSALS: dict[str, _Proposal] = {
     "directional": _directions,
     "area": _areas,
     "environment": _environments,
+    "behind": _behind,
 }
 SCENARIOS = tuple(_PROPOSALS)
 """Names of the scenarios."""

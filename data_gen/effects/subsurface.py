@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from data_gen.geometry import Part, is_closed
 from data_gen.journal import Journal, create_array
-from data_gen.medium_walk import LONGEST, Body, Ends, Fate, bodies, follow, walk_keys
+from data_gen.medium_walk import LONGEST, Body, Ends, Fate, bodies, follow_all, walk_keys
 from data_gen.resolve import HitResolver
 from prt_bench.errors import SceneError
 from prt_bench.hemisphere import HemisphereSampler, hashed
@@ -113,8 +113,7 @@ class WalkTracer:
             direction = self.sampler.directions(index[here], normal).reshape(-1, 3).astype(float)
             keys = walk_keys(index[here], walks, self.sampler.seed).ravel()
             starts = (np.repeat(points.position[here], walks, axis=0), np.repeat(normal, walks, axis=0))
-            for channel in range(self.media):
-                found = follow(body, channel, *starts, direction, keys)
+            for channel, found in enumerate(follow_all(body, self.media, *starts, direction, keys)):
                 table[here, channel] = self._resolved(body, found, keys).reshape(-1, walks)
                 fates[number, channel] += np.bincount(found.fate, minlength=len(Fate))
         return table, fates

@@ -29,6 +29,7 @@ KINDS = {
     "directional": {DirectionalLight},
     "area": {SphereLight, RectLight},
     "environment": {EnvironmentLight},
+    "behind": {PointLight},
 }
 
 
@@ -86,6 +87,18 @@ def test_lights_stand_in_the_box_or_shortly_in_front_of_it(cornell, scenario):
     assert 0.5 < in_box.mean() < 1.0
     assert np.all(position[~in_box, 2] > high[2])  # the others stand before the opening, none behind a wall
     assert position[:, 2].max() < 1.75
+
+
+def test_lights_behind_are_beyond_what_the_camera_looks_at(suzanne):
+    scene, tracer = suzanne
+    aim = np.subtract(scene.camera.target, scene.camera.position)
+    beyond = (
+        (places(sample_lightings(scene, "behind", 64, 0, tracer)) - scene.camera.target) @ aim / np.linalg.norm(aim)
+    )
+    anywhere = (places(sample_lightings(scene, "point", 64, 0, tracer)) - scene.camera.target) @ aim
+    assert beyond.min() > 0
+    assert beyond.max() > 0.5  # metres: not all of them close by
+    assert (anywhere < 0).mean() > 0.25
 
 
 @pytest.mark.parametrize("scenario", ["spot", "point"])

@@ -9,9 +9,21 @@ from scipy.integrate import dblquad
 from scipy.spatial import KDTree
 
 from data_gen import assets
+from data_gen.effects.subsurface import check_closed, enclosed_volume
 from data_gen.fetch import MESHES
 from data_gen.geometry import Part, is_closed, repair
-from data_gen.scenes import bunny_coarse, cornell, furnace, load_scene, plants, room, scenes, summary, two_plates
+from data_gen.scenes import (
+    bunny_coarse,
+    cornell,
+    furnace,
+    load_scene,
+    plants,
+    room,
+    scenes,
+    statue,
+    summary,
+    two_plates,
+)
 from data_gen.tracer import Tracer
 from prt_bench.errors import SceneError
 from prt_bench.scene import Scene
@@ -91,6 +103,20 @@ def test_suzanne_stands_on_the_ground_in_front_of_the_wall():
     assert figure[..., 1].min() == pytest.approx(0.0, abs=1e-12)
     assert np.sum(np.unique(figure.reshape(-1, 3), axis=0)[:, 1] < 2e-3) > 5  # both at chin and skull
     assert figure[..., 0].min() > mesh.triangles[mesh.material == 1][..., 0].max()
+
+
+def test_the_statue_is_closed_by_domes_that_stand_out(monkeypatch):
+    volume = {}
+    for bulge in (-0.3, 0.0, 0.3):
+        monkeypatch.setattr(statue, "_BULGE", bulge)
+        scene = statue.build()
+        check_closed(scene, statue.STONE)
+        volume[bulge] = enclosed_volume(scene, statue.STONE)
+    lower, upper = volume[0.0] - volume[-0.3], volume[0.3] - volume[0.0]
+    assert lower == pytest.approx(upper, rel=0.02)
+    # Two domes h cos(π s / 2) above rims of radius r enclose 2 π h r² (4 / π − 8 / π²); r is 3 to 4 cm.
+    least, most = (2.0 * np.pi * 0.3 * r**3 * (4.0 / np.pi - 8.0 / np.pi**2) for r in (0.03, 0.04))
+    assert least < upper < most
 
 
 @pytest.mark.parametrize("name", MESHES)

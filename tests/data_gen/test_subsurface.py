@@ -11,7 +11,7 @@ import prt_bench as prt
 from data_gen import medium_walk
 from data_gen.effects.subsurface import enclosed_volume, predicted_events
 from data_gen.geometry import assemble, box
-from data_gen.medium_walk import Ends, Fate, bodies, follow, scattered, uniform, walk_keys
+from data_gen.medium_walk import Ends, Fate, bodies, follow, follow_all, scattered, uniform, walk_keys
 from data_gen.reference import cosine_directions
 from prt_bench.errors import SceneError
 from prt_bench.medium import Subsurface, diffuse_reflectance, fresnel
@@ -274,6 +274,25 @@ def test_walks_do_not_depend_on_workers_or_company() -> None:
     part = follow(bodies(scene, workers=1)[0], 0, position[50:90], normal[50:90], direction[50:90], key[50:90])
     for all_of_them, some in zip(whole, part, strict=True):
         np.testing.assert_array_equal(all_of_them[50:90], some)
+
+
+@pytest.mark.parametrize("shared", [(8.0, 8.0, 8.0), (8.0, 2.0, 8.0)])
+def test_channels_that_share_walks_get_what_each_gets_alone(shared: tuple[float, ...]) -> None:
+    medium = Subsurface.of_albedo((0.9, 1.0, 0.0), tuple(1.0 / part for part in shared), 0.2, 1.3)  # pyright: ignore
+    one = bodies(ball(medium))[0]
+    rng = np.random.default_rng(0)
+    face = rng.integers(0, len(one.faces), 4000)
+    normal = one.normals[face]
+    at = one.tracer.nearest
+    start = (ball(medium).mesh.triangles[face].mean(axis=1), normal, cosine_directions(rng, normal))
+    key = walk_keys(np.arange(4000), 1, 0)[:, 0]
+    together = follow_all(one, 3, *start, key)
+    cost, at = one.tracer.nearest - at, one.tracer.nearest
+    for channel, ends in enumerate(together):
+        for ours, alone in zip(ends, follow(one, channel, *start, key), strict=True):
+            np.testing.assert_array_equal(ours, alone)
+    assert cost < (0.75 if shared[1] == 8.0 else 1.0) * (one.tracer.nearest - at)
+    assert len({tuple(np.bincount(ends.fate, minlength=5)) for ends in together}) == 3
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
