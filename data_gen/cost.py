@@ -1,10 +1,16 @@
-"""What a bake will cost, from counts and from rates measured here and now, and what it did cost beside that."""
+"""What a bake will cost, from counts and from rates measured here and now, and what it did cost beside that.
+
+Compilation counts: that of one kernel is timed, once a process. A bake like one that this process made before has its kernels
+at hand, and takes less.
+"""
 
 import resource
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +19,8 @@ from jaxtyping import Array
 
 from data_gen.decisions import Cost, Plan
 from data_gen.effects.hair import predicted_cost
-from data_gen.effects.subsurface import predicted_walks
+from data_gen.effects.subsurface import measured_rates
+from data_gen.gather import PROBES
 from data_gen.strand_atlas import strand_rows
 from data_gen.tracer import Tracer
 from prt_bench.lights import AREA_SAMPLES, ENVIRONMENT_SAMPLES
@@ -24,6 +31,7 @@ from prt_bench.transport import GatherOperator
 _LIGHT_SAMPLES = {"area": AREA_SAMPLES, "environment": ENVIRONMENT_SAMPLES}
 _NODE_SHARE = 0.2  # share of receivers that become nodes, for predictions
 _COVERAGE = 0.75  # share of lightmap texels that charts cover, for predictions
+_KERNELS = 18  # like the one that is timed, that a bake compiles the worth of
 _SHOWN = (
     ("gather_rays", 1e6, "M"),
     ("shadow_rays", 1e6, "M"),
@@ -53,18 +61,24 @@ def predict(
     lit_points = lit * lightings + (samples + dense) * streamed
     shadow_rays = 0 if draft.convex == "outside" else lit_points * _LIGHT_SAMPLES.get(scenario, 1)
     tracer = Tracer(scene, workers)
-    ray_rate, sum_rate = _rates(scene, tracer)
+    rates = _rates(scene, tracer)
     gathered = _NODE_SHARE * receivers * draft.node_rays if draft.node_rays else receivers * draft.rays
     sums = (samples * min(draft.bounces, 16) * draft.rays + gathered) * columns
-    seconds = (gather_rays + 0.5 * shadow_rays) / ray_rate + sums / sum_rate
     pairs = 4 * receivers * columns
     disk = 2 * pairs + pairs // 4 + gather_rays * 2 + 4 * samples * streamed
+    gather_rays += PROBES * (receivers + (0 if shared else samples))
+    seconds = _KERNELS * _compiling() + (gather_rays + 0.5 * shadow_rays) / rates.ray
+    # Bounds of what bounces leave out go over the table once for each.
+    seconds += (draft.bounces + 1) * (0 if strands else samples) * draft.rays / rates.entry
     if scene.translucent:
         starts = (receivers + (0 if shared else samples) + draft.vertices * len(scene.mesh.vertices)) * draft.rays
-        walks, queries = predicted_walks(scene, draft.channels)
-        gather_rays += int(starts * queries)
-        disk += int(2 * starts * walks)
-        seconds += starts * queries / ray_rate
+        walk = measured_rates(scene, workers)
+        gather_rays += int(starts * walk.queries)
+        disk += int(2 * starts * walk.share * walk.channels)
+        seconds += starts * walk.seconds
+        entries = walk.share * samples * draft.rays
+        seconds += (draft.bounces + 1) * entries * walk.channels / rates.entry
+        sums += entries * columns * min(draft.bounces, 16) + walk.share * receivers * draft.rays * columns
     if strands:
         queries, sky, alone, shadow = predicted_cost(scene, draft.rays, tracer)
         entries = strands * draft.rays
@@ -73,14 +87,23 @@ def predict(
         # Shadow rays among fibres take longer than others: of all that are lit, three times each strand texel.
         from_strands = shadow_rays * 3 * strands / lit
         shadow_rays += sky
-        seconds += alone + from_strands * (shadow - 0.5 / ray_rate)
-        seconds += entries * columns * min(draft.bounces, 16) / sum_rate
+        seconds += alone + from_strands * (shadow - 0.5 / rates.ray)
+        sums += entries * columns * min(draft.bounces, 16)
+    seconds += sums / rates.sum
     memory = int(6e8) + 12 * samples * columns * 4 + 6 * min(receivers, 1 << 14) * columns * 4
     return Cost(gather_rays, shadow_rays, disk, memory, seconds)
 
 
-def _rates(scene: Scene, tracer: Tracer) -> tuple[float, float]:
-    """Rays per second on this scene and gathered values per second, each timed on a small batch."""
+class _Rates(NamedTuple):
+    """Rays, entries of a hit table and, where many lightings stand beside each other, gathered values per second."""
+
+    ray: float
+    entry: float
+    sum: float
+
+
+def _rates(scene: Scene, tracer: Tracer) -> _Rates:
+    """Each timed on a small batch, here and now."""
     rng = np.random.default_rng(0)
     origins = rng.uniform(scene.bounds[0], scene.bounds[1], (1 << 17, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
@@ -88,18 +111,33 @@ def _rates(scene: Scene, tracer: Tracer) -> tuple[float, float]:
     started = time.perf_counter()
     tracer.intersect(origins, directions)
     ray_rate = len(origins) / (time.perf_counter() - started)
-
     gather = GatherOperator.from_hits(rng.integers(0, 4096, (1024, 64)), 4096)
-    light = jnp.ones((4096, 256), jnp.float32)
+    entry_rate, sum_rate = (_gather_rate(gather, columns) for columns in (1, 256))
+    return _Rates(ray_rate, entry_rate, sum_rate)
+
+
+def _gather_rate(gather: GatherOperator, columns: int) -> float:
+    """Values per second that a table gathers from so many columns."""
+    light = jnp.ones((4096, columns), jnp.float32)
     _gathered(gather, light).block_until_ready()
     started = time.perf_counter()
     _gathered(gather, light).block_until_ready()
-    return ray_rate, 1024 * 64 * 256 / (time.perf_counter() - started)
+    return 1024 * 64 * columns / (time.perf_counter() - started)
 
 
 @jax.jit
 def _gathered(gather: GatherOperator, light: Array) -> Array:
     return gather(light)
+
+
+@cache
+def _compiling() -> float:
+    """Seconds to compile one kernel, timed once in this process."""
+    gather, light = GatherOperator.from_hits(np.zeros((64, 64), int), 64), jnp.ones((64, 64), jnp.float32)
+    kernel = jax.jit(lambda gather, light: gather(gather(light)))
+    started = time.perf_counter()
+    kernel.lower(gather, light).compile()
+    return time.perf_counter() - started
 
 
 def spent(gather_rays: int, shadow_rays: int, stores: Sequence[Path], seconds: float) -> dict[str, float]:

@@ -128,7 +128,8 @@ def _followed(
     """Ends of walks by channel, all of which have one extinction."""
     ends = tuple(_nowhere(len(key)) for _ in channels)
     walks = _Walks(body, channels, ends, position, normal, direction, key)
-    blocks = [slice(at, at + _BLOCK) for at in range(0, len(key), _BLOCK)]
+    size = min(max(-(-len(key) // body.tracer.workers), 1), _BLOCK)
+    blocks = [slice(at, at + size) for at in range(0, len(key), size)]
     with body.tracer.pool() as executor:
         list(executor.map(walks.run, blocks))
     return ends

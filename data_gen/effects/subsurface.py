@@ -6,6 +6,9 @@ walked in, what it is predicted to cost, and the tables in the store are here; t
 """
 
 import json
+import time
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import zarr
@@ -24,6 +27,7 @@ from prt_bench.store import write_array
 
 VERSION = 1  # part of the transport's key: raise when the same inputs would give other walks
 _POINTS = 1 << 11  # translucent points whose walks are traced and stored together
+_PILOT_POINTS, _PILOT_WALKS = 512, 32  # that are followed to predict what all of them cost
 _PLACE = np.uint64(6)  # chooses the jitter of a walk's end
 
 
@@ -68,13 +72,40 @@ def predicted_events(scene: Scene, material: int) -> float:
     return float(np.mean(1.0 + np.minimum(path * medium.extinction, alive)))
 
 
-def predicted_walks(scene: Scene, channels: int) -> tuple[float, float]:
-    """Walks and ray queries that translucent bodies call for, both per ray of a point anywhere on the scene's surface."""
-    walks = queries = 0.0
-    for index in media(scene):
-        share = scene.mesh.areas[scene.mesh.material == index].sum() / scene.mesh.areas.sum() * channels
-        walks, queries = walks + share, queries + share * predicted_events(scene, index)
-    return walks, queries
+class WalkRates(NamedTuple):
+    """`queries` and `seconds` on all workers together are those of walks in all `channels` that have their own, per ray of a
+    point anywhere on the scene's surface, of which a `share` is translucent."""
+
+    queries: float
+    seconds: float
+    channels: int
+    share: float
+
+
+def measured_rates(scene: Scene, workers: int | None) -> WalkRates:
+    """Some walks from all over the bodies, timed here and now, for predictions."""
+    area, rng = scene.mesh.areas, np.random.default_rng(0)
+    inside, translucent = bodies(scene, workers), np.flatnonzero(scene.translucent_at(np.arange(len(area))))
+    share, channels = float(area[translucent].sum() / area.sum()), _channels(inside)
+    sampler = HemisphereSampler.create(_PILOT_WALKS, 0)
+    face = rng.choice(translucent, _PILOT_POINTS, p=area[translucent] / area[translucent].sum())
+    owner, normal = scene.mesh.material[face], scene.mesh.normals[face]
+    place = np.einsum("nc,ncd->nd", rng.dirichlet([1.0, 1.0, 1.0], len(face)), scene.mesh.triangles[face])
+    towards = np.asarray(sampler.directions(np.arange(len(face)), normal), float)
+    keys = walk_keys(np.arange(len(face)), _PILOT_WALKS, 0)
+    started = time.perf_counter()
+    for material, body in inside.items():
+        here = np.flatnonzero(owner == material)
+        starts = (np.repeat(part[here], _PILOT_WALKS, axis=0) for part in (place, normal))
+        follow_all(body, channels, *starts, towards[here].reshape(-1, 3), keys[here].ravel())
+    seconds, queries = time.perf_counter() - started, sum(body.tracer.nearest for body in inside.values())
+    each = share / keys.size
+    return WalkRates(each * queries, each * seconds, channels, share)
+
+
+def _channels(inside: Mapping[int, Body]) -> int:
+    """How many channels have walks of their own."""
+    return 1 if all(body.medium.grey for body in inside.values()) else 3
 
 
 class WalkTracer:
@@ -92,7 +123,7 @@ class WalkTracer:
         self.bodies = bodies(scene, workers)
         # A texel that another body stands on is dark, and stays so: no light enters where it lies.
         self.resolver = HitResolver.create(scene.mesh, lightmap, samples)
-        self.media = 1 if all(body.medium.grey for body in self.bodies.values()) else 3
+        self.media = _channels(self.bodies)
 
     def ends(
         self, points: SurfacePoints, index: Int[np.ndarray, " p"]

@@ -12,6 +12,7 @@ import trimesh
 import prt_bench as prt
 from data_gen import trace as trace_module
 from data_gen.effects import subsurface
+from data_gen.gather import PROBES
 from data_gen.trace import transport_key
 from prt_bench.errors import SceneError
 from prt_bench.store import read_scene, write_scene
@@ -55,7 +56,7 @@ class TestAbsent:
             raise AssertionError("a scene without media asked for walks")
 
         assert "subsurface" in str(prt.plan(room()).to_json())
-        for name in ("follow", "bodies", "write_walks", "WalkTracer", "check_closed", "predicted_events"):
+        for name in ("follow_all", "bodies", "write_walks", "WalkTracer", "check_closed", "predicted_events"):
             monkeypatch.setattr(subsurface, name, refuse)
         for name in ("write_walks", "WalkTracer"):
             monkeypatch.setattr(trace_module, name, refuse)
@@ -106,13 +107,19 @@ def test_the_plan_says_what_and_why() -> None:
     assert with_media.disk_bytes > without.disk_bytes
 
 
-def test_predicted_rays_bound_what_walks_take(tmp_path: Path) -> None:
-    transport = traced(room(), tmp_path)
-    assert transport.walks is not None
-    walks = sum(np.sum(counts) for counts in transport.walks.fates["ball"].values())
-    predicted = subsurface.predicted_events(room(), BALL)
-    assert predicted > 3
-    assert prt.plan(room(), texels=24, rays=32).cost.gather_rays > walks
+def test_walks_are_predicted_from_some_of_them(tmp_path: Path) -> None:
+    """As many ray queries as the bake counts, and fewer where the body only absorbs."""
+    ds = prt.bake(room(), **SMALL, out=tmp_path)
+    lit, walks = ds.metadata, ds.transport.walks
+    assert walks is not None
+    rates = subsurface.measured_rates(room(), 1)
+    assert rates.channels == 3
+    around = lit["actual"]["gather_rays"] - len(ds.points) * (SMALL["rays"] + PROBES)
+    per_start = around / (len(walks.receivers.rows) * SMALL["rays"])
+    assert rates.queries / rates.share == pytest.approx(per_start, rel=0.1)
+    assert lit["predicted"]["gather_rays"] == pytest.approx(lit["actual"]["gather_rays"], rel=0.4)
+    black = subsurface.measured_rates(room(replace(MEDIUM, scattering=(0.0,) * 3)), 1)
+    assert black.queries < 0.7 * rates.queries
 
 
 def test_a_scene_survives_the_store(tmp_path: Path) -> None:
