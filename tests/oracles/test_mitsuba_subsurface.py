@@ -35,25 +35,28 @@ def egg(medium: Subsurface) -> Scene:
 
 
 def starts(scene: Scene) -> tuple[np.ndarray, ...]:
-    """Points all over the surface with directions of the cosine, and the band of each."""
+    """Points all over the surface with directions of the cosine, the band of each, and its face."""
     rng = np.random.default_rng(0)
     area = scene.mesh.areas
     face = rng.choice(len(area), WALKS, p=area / area.sum())
     position = np.einsum("nc,ncd->nd", rng.dirichlet([1, 1, 1], WALKS), scene.mesh.triangles[face])
     normal = scene.mesh.normals[face]
     band = np.clip(((position[:, 1] + 1.0) / 2.0 * PARTS).astype(int), 0, PARTS - 1)
-    return position, normal, cosine_directions(rng, normal), band
+    return position, normal, cosine_directions(rng, normal), band, face
 
 
 def by_walks(scene: Scene, under_the_lamp: Bool[np.ndarray, " f"]) -> Float[np.ndarray, "PARTS 2"]:
     """Mean of K E in each band for E = 1 under the lamp, and its standard error."""
-    position, normal, direction, band = starts(scene)
+    position, normal, direction, band, _ = starts(scene)
     ends = follow(bodies(scene)[0], 0, position, normal, direction, walk_keys(np.arange(WALKS), 1, 0)[:, 0])
     return _means((ends.fate == Fate.ESCAPED) & under_the_lamp[ends.face], band)
 
 
 def by_mitsuba(scene: Scene, under_the_lamp: Bool[np.ndarray, " f"], folder: Path) -> Float[np.ndarray, "PARTS 2"]:
-    """Mean radiance that leaves each band under a lamp of radiance 1, without what the boundary reflects of the lamp."""
+    """Mean radiance that leaves each band under a lamp of radiance 1, without what the boundary reflects of the lamp.
+
+    That is told face by face: faces under the lamp reach over the edge of its band.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -79,13 +82,13 @@ def by_mitsuba(scene: Scene, under_the_lamp: Bool[np.ndarray, " f"], folder: Pat
     described["lamp"]["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
     world = mi.load_dict(described)
     integrator = mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 100000})
-    position, _, direction, band = starts(scene)
+    position, _, direction, band, face = starts(scene)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(1, WALKS)
     start, way = mi.Point3f((position + 0.5 * gap * direction).T), mi.Vector3f(-direction.T)
     radiance, _, _ = integrator.sample(world, sampler, mi.RayDifferential3f(start, way))
     dr.eval(radiance)
-    return _means(np.asarray(radiance.x), band)
+    return _means(np.asarray(radiance.x) - diffuse_reflectance(medium.ior) * under_the_lamp[face], band)
 
 
 def _means(values: np.ndarray, band: np.ndarray) -> Float[np.ndarray, "PARTS 2"]:
@@ -107,9 +110,8 @@ def test_walks_agree_with_mitsuba(medium: Subsurface, tmp_path: Path) -> None:
     scene = egg(medium)
     under_the_lamp = scene.mesh.triangles[:, :, 1].mean(axis=1) > 1.0 / 3.0  # the upper band
     ours, theirs = by_walks(scene, under_the_lamp), by_mitsuba(scene, under_the_lamp, tmp_path)
-    theirs[PARTS - 1, 0] -= diffuse_reflectance(medium.ior)  # of the lamp itself
     error = np.hypot(ours[:, 1], theirs[:, 1])
-    bound = 4 * error + 0.01 * theirs[:, 0]
+    bound = 4 * error + 0.002 * theirs[:, 0]
     assert np.all(ours[:, 0] > 10 * error)  # light comes out on all sides
     assert np.all(np.abs(ours[:, 0] - theirs[:, 0]) < bound)
     other = by_walks(egg(replace(medium, anisotropy=medium.anisotropy - 0.3)), under_the_lamp)
