@@ -14,7 +14,7 @@ from prt_bench.emitters import Emitters
 from prt_bench.errors import SpecError
 from prt_bench.scene import Scene
 
-FORCIBLE = ("subsurface", "channels", "bounces", "shadow rays", "gather samples")
+FORCIBLE = ("subsurface", "channels", "bounces", "shadow rays", "gather samples", "receivers")
 """What can be simulated in full where the planner would leave it out: names of effects and of decisions."""
 EVERYTHING = "all"
 FULL_TAIL = 2.0**-24

@@ -94,7 +94,8 @@ def plan(
     force = forced(force)
     convex, bodies = _convexity(scene), media(scene)
     channels = 3 if "channels" in force or not scene.achromatic else 1
-    every = "bounces" in force
+    every, asked_nodes = "bounces" in force, node_rays
+    node_rays = 0 if "receivers" in force else node_rays
     bounces, bounce_reason = _bounces(
         scene.largest_albedo, FULL_TAIL if every else tolerance, None if every else convex
     )
@@ -150,7 +151,13 @@ def plan(
             f"as asked: light between them is interpolated where that misses by less than {node_tolerance:.1%}",
         )
         if node_rays
-        else Decision("receivers", "all traced", "interpolation of smooth light was not asked for (node_rays)"),
+        else Decision(
+            "receivers",
+            "all traced",
+            f"forced: {asked_nodes} rays at nodes were asked for"
+            if asked_nodes
+            else "interpolation of smooth light was not asked for (node_rays)",
+        ),
     )
     if bodies:
         walks = f"{rays} walks per point" + ("" if channels == 1 else " and channel")

@@ -64,7 +64,7 @@ def skips(ds: LightingDataset, lightings: int = 8, workers: int | None = None, t
     """What the plan of a dataset left out, in the order of `FORCIBLE`, measured on so many of its test lightings.
 
     Everything is lit three times where it is `timed`, and the faster of the last two counts; otherwise no seconds are given.
-    Gather samples in full are traced in a temporary folder. Raises `SpecError` without lightings.
+    Gather samples and receivers in full are traced in a temporary folder. Raises `SpecError` without lightings.
     """
     if lightings < 1:
         raise SpecError(f"skips are measured on {lightings} lightings, but it takes at least 1")
@@ -87,6 +87,7 @@ def _as_baked(full: Plan, ds: LightingDataset) -> Plan:
     force = tuple(ds.metadata.get("force", ()))
     channels = 1 if ds.scene.achromatic and "channels" not in force else 3
     own = {"gather_texels": ds.metadata["gather_texels"], "effects": tuple(ds.metadata["effects"])}
+    own |= {name: ds.metadata[name] for name in ("node_rays", "node_tolerance") if name in ds.metadata}
     return replace(full, **own, channels=channels, force=force)
 
 
@@ -111,6 +112,9 @@ def _alternatives(
     if planned.gather_texels < full.gather_texels and transport.nodes is None:
         settings = replace(planned, gather_texels=full.gather_texels)
         yield "gather samples", settings, trace(ds.scene, settings, int(ds.metadata["seed"]), folder, tracer)
+    if planned.node_rays:
+        settings = replace(planned, node_rays=0)
+        yield "receivers", settings, trace(ds.scene, settings, int(ds.metadata["seed"]), folder, tracer)
 
 
 def _measured(
@@ -122,9 +126,14 @@ def _measured(
         "bounces": (str(ds.transport.bounces), str(transport.bounces)),
         "shadow rays": ("where none can be", "all"),
         "gather samples": tuple(f"{side}² texels" for side in (ds.metadata["gather_texels"], settings.gather_texels)),
+        "receivers": (f"{ds.metadata.get('node_rays')} rays at nodes", f"{settings.rays} rays at all"),
     }
-    tolerance = {"bounces": settings.tolerance, "gather samples": ds.metadata.get("gather_tolerance", 0.0)}
-    smooth = name == "gather samples"
+    tolerance = {
+        "bounces": settings.tolerance,
+        "gather samples": ds.metadata.get("gather_tolerance", 0.0),
+        "receivers": ds.metadata.get("node_tolerance", 0.0),
+    }
+    smooth = name in ("gather samples", "receivers")
     wider = full.indirect.shape[2] / base.indirect.shape[2] - 1.0
     arrays = sum(ds.arrays[each].nbytes for each in ("direct", "indirect", "indirect_half", "measured"))
     rays = _gather_rays(transport) - _gather_rays(ds.transport) + share * (full.shadow_rays - base.shadow_rays)

@@ -94,6 +94,23 @@ def test_forced_bounces_are_more_and_hold_less_back(folder: Path) -> None:
     assert np.all(apart <= planned.metadata["tolerance"] * full.direct.max(axis=(1, 2)))
 
 
+def test_forced_receivers_are_those_of_a_bake_without_nodes(folder: Path) -> None:
+    """The same rays; and what nodes had saved of them missed no more than it was allowed."""
+    scene = prt.load_scene("cornell")
+    settings = {**SMALL, "texels": 40, "gather_texels": 24}
+    nodes = {"node_rays": 64, "node_tolerance": 0.2}
+    between = prt.bake(scene, **settings, **nodes, out=folder)
+    assert between.transport.nodes is not None
+    sides = {"texels": 40, "gather_texels": 24, "rays": settings["rays"]}
+    plain, full = prt.plan(scene, **sides), prt.plan(scene, **sides, **nodes, force=("receivers",))
+    assert transport_key(scene, full, 0) == transport_key(scene, plain, 0) != between.transport.key
+    assert rows(full)["receivers"] == ("all traced", "forced: 64 rays at nodes were asked for")
+    (found,) = (skip for skip in prt.skips(between, 2, timed=False) if skip.name == "receivers")
+    assert (found.planned, found.full) == ("64 rays at nodes", f"{settings['rays']} rays at all")
+    assert 0 <= found.error <= found.tolerance == 0.2
+    assert found.rays == len(between.points) * settings["rays"] - between.transport.receiver_hits.size
+
+
 def test_the_plan_says_what_was_forced() -> None:
     plan = rows(prt.plan(prt.load_scene("furnace"), texels=320, force=("all",)))
     assert plan["channels"] == ("3", "forced: every albedo is grey")
