@@ -40,9 +40,9 @@ def main() -> None:
     texels = chosen.texels or 10 * ceil(1.25 * (10 * len(scene.strands)) ** 0.5 / 10)
     settings = {"scenario": "spot", "lightings": chosen.lightings, "texels": texels, "rays": chosen.rays}
     print(prt.plan(scene, **settings).table())
-    started = time.perf_counter()
+    started, busy = time.perf_counter(), time.process_time()
     ds = prt.bake(scene, **settings, out=chosen.out)
-    seconds = time.perf_counter() - started
+    seconds, busy = time.perf_counter() - started, time.process_time() - busy
     spent, walks = ds.metadata["seconds"], ds.transport.walks
     assert walks is not None
     print(
@@ -50,6 +50,10 @@ def main() -> None:
     )
     print(f"bake: {seconds:.0f} s (rays {spent['trace']:.0f} s, light {spent['light']:.0f} s; predicted"
           f" {ds.metadata['predicted']['seconds']:.0f} s); goal {GOAL:.0f} s for 10,000 strands")  # fmt: skip
+    actual = ds.metadata["actual"]
+    print(f"{actual['gather_rays'] / 1e6:.0f} M gather rays, {actual['shadow_rays'] / 1e6:.0f} M shadow rays,"
+          f" {actual['disk_bytes'] / 1e6:.0f} MB on disk, {actual['memory_bytes'] / 1e6:.0f} MB in memory,"
+          f" {busy:.0f} s of CPU")  # fmt: skip
     counts = {name: np.array(values) for name, values in walks.fates["hair"].items()}
     total = sum(counts.values())
     print("paths: " + ", ".join(f"{name} {np.round(100 * values / total, 1)} %" for name, values in counts.items()))

@@ -96,8 +96,8 @@ def measured_rates(scene: Scene, workers: int | None) -> WalkRates:
     started = time.perf_counter()
     for material, body in inside.items():
         here = np.flatnonzero(owner == material)
-        starts = (np.repeat(part[here], _PILOT_WALKS, axis=0) for part in (place, normal))
-        follow_all(body, channels, *starts, towards[here].reshape(-1, 3), keys[here].ravel())
+        position, outward = (np.repeat(part[here], _PILOT_WALKS, axis=0) for part in (place, normal))
+        follow_all(body, channels, position, outward, towards[here].reshape(-1, 3), keys[here].ravel())
     seconds, queries = time.perf_counter() - started, sum(body.tracer.nearest for body in inside.values())
     each = share / keys.size
     return WalkRates(each * queries, each * seconds, channels, share)
