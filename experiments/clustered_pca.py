@@ -33,12 +33,11 @@ from data_gen.meshless import hemispheres, nearest_hits
 from data_gen.particles import particle_samples
 from data_gen.scenarios import sample_lightings
 from data_gen.tracer import Tracer
-from prt_bench.clusters import Clusters, clusters_of
+from prt_bench.clusters import Clusters, apart, bases_of_clusters, clusters_of, in_clusters
 from prt_bench.depth import ClusteredVisibility, hemisphere_directions, shadow_error
 from prt_bench.images import exposure_for, tone_map
 from prt_bench.lights import emitters
 from prt_bench.linalg import fewer_columns, principal_rows
-from prt_bench.methods.clustered_pca import apart, bases_of_clusters, in_clusters
 from prt_bench.metrics import relative_norm
 from prt_bench.packing import packed, threshold
 from prt_bench.points import SurfacePoints

@@ -1,7 +1,8 @@
-"""Clusters of surface points: roots that are spread evenly over a surface, and the root that every point belongs to.
+"""Clusters of surface points: roots that are spread evenly over a surface, the root that every point belongs to, and bases.
 
 Nearness is that of place and normal together, so that a cluster reaches neither through a thin wall nor round a corner. What is
-stored for clusters lives in `clustered.py`; particles that find points without a lightmap are in `data_gen/particles.py`.
+stored for clusters lives in `clustered.py` and `sampled.py`; particles that find points without a lightmap are in
+`data_gen/particles.py`.
 """
 
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from prt_bench.errors import FitError
+from prt_bench.linalg import principal_rows
 from prt_bench.points import SurfacePoints
 
 
@@ -51,6 +53,44 @@ def clusters_of(points: SurfacePoints, count: int, bend: float, radius: float = 
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
     return Clusters(features[chosen], bend, float(distance.max()), np.array(chosen))
+
+
+def bases_of_clusters(
+    columns: Float[np.ndarray, "P n"], owner: Int[np.ndarray, " P"], count: int, size: int
+) -> Float[np.ndarray, "P K"]:
+    """The `size` leading left singular vectors of the rows of each cluster; zeros where it has no such rank.
+
+    The values at a point are those of its own cluster's vectors, which are orthonormal. Float64; not differentiable.
+    """
+    out = np.zeros((len(owner), size))
+    for cluster in range(count):
+        rows = np.flatnonzero(owner == cluster)
+        if len(rows):
+            found = principal_rows(columns[rows].T.astype(np.float64), size).T
+            out[rows, : found.shape[1]] = found
+    return out
+
+
+def apart(basis: Float[np.ndarray, "P K"], owner: Int[np.ndarray, " P"], count: int) -> Float[np.ndarray, "P Q"]:
+    """Functions of all clusters as columns of their own, Q = count · K, each zero outside of its cluster."""
+    points, size = basis.shape
+    out = np.zeros((points, count, size))
+    out[np.arange(points), owner] = basis
+    return out.reshape(points, -1)
+
+
+def in_clusters(
+    basis: Float[np.ndarray, "P K"],
+    values: Float[np.ndarray, "P ..."],
+    owner: Int[np.ndarray, " P"],
+    count: int,
+) -> Float[np.ndarray, "Q ..."]:
+    """Coefficients of values at the points on the functions of each cluster, one cluster's after another's."""
+    parts = []
+    for cluster in range(count):
+        rows = owner == cluster
+        parts.append(np.tensordot(basis[rows], values[rows], (0, 0)))
+    return np.concatenate(parts)
 
 
 def _features(points: SurfacePoints, bend: float) -> Float[np.ndarray, "p 6"]:

@@ -11,10 +11,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from prt_bench.clustered import ClusteredModel
-from prt_bench.clusters import clusters_of
+from prt_bench.clusters import apart, bases_of_clusters, clusters_of, in_clusters
 from prt_bench.dataset import LightingDataset
 from prt_bench.errors import DatasetError, FitError
-from prt_bench.linalg import fewer_columns, principal_rows, relative_damping, ridge, safe_norm
+from prt_bench.linalg import fewer_columns, relative_damping, ridge, safe_norm
 from prt_bench.methods.base import Method
 from prt_bench.methods.examples import Examples, column_scale, normalised, training_light
 from prt_bench.methods.operator import fit_albedo, respond
@@ -102,44 +102,6 @@ class ClusteredPCA(Method):
                 f"{self.label}: the lightings have too small a rank in some clusters; {empty} basis functions are zero",
                 stacklevel=3,
             )
-
-
-def bases_of_clusters(
-    columns: Float[np.ndarray, "P n"], owner: Int[np.ndarray, " P"], count: int, size: int
-) -> Float[np.ndarray, "P K"]:
-    """The `size` leading left singular vectors of the rows of each cluster; zeros where it has no such rank.
-
-    The values at a point are those of its own cluster's vectors, which are orthonormal. Float64; not differentiable.
-    """
-    out = np.zeros((len(owner), size))
-    for cluster in range(count):
-        rows = np.flatnonzero(owner == cluster)
-        if len(rows):
-            found = principal_rows(columns[rows].T.astype(np.float64), size).T
-            out[rows, : found.shape[1]] = found
-    return out
-
-
-def apart(basis: Float[np.ndarray, "P K"], owner: Int[np.ndarray, " P"], count: int) -> Float[np.ndarray, "P Q"]:
-    """Functions of all clusters as columns of their own, Q = count · K, each zero outside of its cluster."""
-    points, size = basis.shape
-    out = np.zeros((points, count, size))
-    out[np.arange(points), owner] = basis
-    return out.reshape(points, -1)
-
-
-def in_clusters(
-    basis: Float[np.ndarray, "P K"],
-    values: Float[np.ndarray, "P ..."],
-    owner: Int[np.ndarray, " P"],
-    count: int,
-) -> Float[np.ndarray, "Q ..."]:
-    """Coefficients of values at the points on the functions of each cluster, one cluster's after another's."""
-    parts = []
-    for cluster in range(count):
-        rows = owner == cluster
-        parts.append(np.tensordot(basis[rows], values[rows], (0, 0)))
-    return np.concatenate(parts)
 
 
 def _lightings(ds: LightingDataset, trained: Examples) -> tuple[Float[np.ndarray, "M n"], Float[np.ndarray, "S n"]]:

@@ -9,11 +9,10 @@ import pytest
 
 import prt_bench as prt
 from prt_bench.clustered import ClusteredModel
-from prt_bench.clusters import clusters_of
+from prt_bench.clusters import apart, bases_of_clusters, clusters_of, in_clusters
 from prt_bench.errors import FitError
 from prt_bench.example import example_dataset
 from prt_bench.linalg import fewer_columns, principal_rows
-from prt_bench.methods.clustered_pca import apart, bases_of_clusters, in_clusters
 from prt_bench.methods.operator import fit_albedo, importance
 from prt_bench.points import SurfacePoints
 
