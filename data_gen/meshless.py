@@ -1,4 +1,4 @@
-"""Light between samples that have no lightmap: hit tables that name the nearest sample, and hemispheres of depth.
+"""Light between samples that have no lightmap: hit tables that name the nearest sample, hemispheres of depth, and walls.
 
 Finds where rays go. What is made of it lives in `prt_bench/transport.py` and `prt_bench/depth.py`.
 """
@@ -14,6 +14,7 @@ from prt_bench.points import SurfacePoints
 _STEP = 1 << 19  # rays at once
 _NEAREST = 4  # samples among which one that faces the right way is looked for
 _SAME_WAY = 0.5
+_GRAZING = 0.05  # cosine
 
 
 def nearest_hits(
@@ -59,3 +60,23 @@ def hemispheres(
         origin = np.repeat(points.position[rows] + tracer.offset * points.normal[rows], len(directions), axis=0)
         out[rows] = tracer.intersect(origin, turned).distance.reshape(-1, len(directions))
     return out
+
+
+def walls_around(
+    tracer: Tracer, points: SurfacePoints, normals: Float[np.ndarray, "F 3"]
+) -> Float[np.ndarray, "S 4 2"]:
+    """What stands on the surface of each sample along ±tangent and ±bitangent, as lines; `normals` are the faces'.
+
+    A place at x along the axes lies behind wall i where x · walls[i] > 1, in 1/m; 0 where there is none. Frames are unturned
+    `tangent_frames`. Lines are as long as the surface, so a place that is seen past the end of a wall counts as behind it.
+    """
+    frame = tangent_frames(points.normal, np.zeros(len(points)))
+    along = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    origin = np.repeat(points.position + tracer.offset * points.normal, len(along), axis=0)
+    hits = tracer.intersect(origin, np.einsum("ka,pax->pkx", along, frame[:, :2]).reshape(-1, 3))
+    across = np.einsum("pax,pkx->pka", frame[:, :2], normals[hits.face].reshape(-1, len(along), 3))
+    met = np.einsum("pka,ka->pk", across, along)
+    inverse = (1.0 / np.maximum(hits.distance, tracer.offset)).reshape(-1, len(along))
+    # At a grazing angle the line is that of a wall across.
+    slope = np.where((np.abs(met) > _GRAZING)[:, :, None], across / np.where(met == 0, 1.0, met)[:, :, None], along)
+    return inverse[:, :, None] * slope

@@ -13,8 +13,11 @@ from scipy.spatial import KDTree
 from prt_bench.errors import FitError
 from prt_bench.hemisphere import tangent_frames
 from prt_bench.linalg import principal_rows
+from prt_bench.packing import Packed, packed, threshold
 from prt_bench.points import SurfacePoints
 
+SLACK = 0.05
+"""How far behind a surface a light may lie and still be seen, as a share of its distance."""
 _CORNERS = 4
 _PAIRS = 1 << 15  # pairs of sample and light at once
 
@@ -25,6 +28,38 @@ def hemisphere_directions(count: int) -> Float[np.ndarray, "d 3"]:
     z, angle = 1.0 - index / count, np.pi * (1.0 + np.sqrt(5.0)) * index
     ring = np.sqrt(1.0 - z**2)
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+
+
+class DirectionGrid(NamedTuple):
+    """Which of some directions can be among the four nearest to any other: the lookup by which shaders find those.
+
+    Cells are `side`² squares over the disk (x, y) / √(1 + z), which keeps areas. Those of cell i = row · side + column are
+    `candidates[starts[i] : starts[i + 1]]`; cells off the disk have none.
+    """
+
+    side: int
+    starts: Int[np.ndarray, " cells"]
+    candidates: Int[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, directions: Float[np.ndarray, "d 3"]) -> "DirectionGrid":
+        """For d ≥ 4 directions. No further than to the fourth nearest of a cell's middle and twice across half the cell."""
+        side = 2 * int(np.ceil(np.sqrt(len(directions))))
+        middle = (2.0 * np.arange(side) + 1.0) / side - 1.0
+        place = np.stack(np.meshgrid(middle, middle), axis=-1).reshape(-1, 2)
+        corner = np.sqrt(2.0) / side
+        squared = np.sum(place**2, axis=1)
+        on_disk = np.flatnonzero(squared <= (1.0 + corner) ** 2)
+        squared = squared[on_disk]
+        around = np.column_stack([place[on_disk] * np.sqrt(2.0 - squared)[:, None], 1.0 - squared])
+        # What a length on the disk is at most on the sphere, anywhere in the cell.
+        stretch = 2.0 / np.sqrt(2.0 - (np.sqrt(squared) + corner) ** 2)
+        tree = KDTree(directions)
+        fourth = np.asarray(tree.query(around, k=_CORNERS)[0])[:, -1]
+        found = tree.query_ball_point(around, fourth + 2.002 * stretch * corner, return_sorted=True)
+        sizes = np.zeros(side**2, int)
+        sizes[on_disk] = [len(each) for each in found]
+        return cls(side, np.concatenate([[0], np.cumsum(sizes)]), np.concatenate(found).astype(int))
 
 
 class ClusteredVisibility(NamedTuple):
@@ -80,8 +115,28 @@ class ClusteredVisibility(NamedTuple):
             basis=np.ascontiguousarray(self.basis[:, :, :size]), coefficients=self.coefficients[:, :size]
         )
 
+    def quantised(self) -> "ClusteredVisibility":
+        """As the runtime holds it: coefficients and functions in 16 bits, the mean in float32."""
+        coefficients, functions = self.packed()
+        clusters, directions, size = self.basis.shape
+        basis = np.moveaxis(functions.unpacked().reshape(directions, clusters, size), 1, 0)
+        mean = self.mean.astype(np.float32)
+        return self._replace(mean=mean, basis=np.ascontiguousarray(basis), coefficients=coefficients.unpacked())
+
+    def packed(self, share: float = 1.0) -> tuple[Packed, Packed]:
+        """Coefficients [S, K] and functions [d, P·K] with the largest `share` of the entries of both, in 16 bits.
+
+        An error in a function meets every sample of its cluster, times its coefficient, and is weighted so.
+        """
+        functions = np.moveaxis(self.basis, 1, 0).reshape(self.basis.shape[1], -1)
+        weight = np.zeros((len(self.basis), self.basis.shape[2]))
+        np.add.at(weight, self.cluster, self.coefficients**2)
+        weight = np.sqrt(weight).ravel()
+        least = threshold(share, np.abs(self.coefficients), np.abs(functions) * weight)
+        return packed(self.coefficients, least), packed(functions, least, weight)
+
     def lit(
-        self, points: SurfacePoints, lights: Float[np.ndarray, "L 3"], slack: float = 0.05
+        self, points: SurfacePoints, lights: Float[np.ndarray, "L 3"], slack: float = SLACK
     ) -> Float[np.ndarray, "L S"]:
         """How much of point lights at `lights` each sample sees, from 0 to 1; 0 for lights below its horizon.
 

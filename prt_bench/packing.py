@@ -10,7 +10,8 @@ from jaxtyping import Float, Int, UInt8
 
 from prt_bench.errors import AssetError
 
-_STEPS = 2**15 - 1
+STEPS = 2**15 - 1
+"""Of which a column's largest entry is one: so many multiples fit into 16 bits with a sign."""
 
 
 class Packed(NamedTuple):
@@ -28,10 +29,14 @@ class Packed(NamedTuple):
 
     def unpacked(self) -> Float[np.ndarray, "n m"]:
         """The matrix again in float32, zeros where entries were dropped."""
+        return self.multiples() * self.step
+
+    def multiples(self) -> Int[np.ndarray, "n m"]:
+        """The 16-bit multiples of `step`, dense."""
         flags = np.unpackbits(self.kept, count=int(np.prod(self.shape))).astype(bool).reshape(self.shape)
-        out = np.zeros(self.shape, np.float32)
+        out = np.zeros(self.shape, np.int16)
         out[flags] = self.values
-        return out * self.step
+        return out
 
 
 def threshold(share: float, *sizes: Float[np.ndarray, "n m"]) -> float:
@@ -58,6 +63,6 @@ def packed(
         raise AssetError("a matrix with values that are not finite cannot be quantised; fit it again")
     flags = (np.abs(matrix) * weight >= least) & (matrix != 0)
     largest = np.max(np.abs(matrix), axis=0, where=flags, initial=0.0)
-    step = np.where(largest > 0, largest / _STEPS, 1.0).astype(np.float32)
+    step = np.where(largest > 0, largest / STEPS, 1.0).astype(np.float32)
     values = np.rint(matrix / step)[flags].astype(np.int16)
     return Packed((matrix.shape[0], matrix.shape[1]), np.packbits(flags), values, step)

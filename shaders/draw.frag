@@ -1,7 +1,8 @@
 // Radiance of surfaces: albedo / π · (direct + indirect irradiance), and GLOSSY the lobe that a material adds, of light stored as
 // transfer or as coefficients of its own (DIRECTIONAL). DIRECT, INDIRECT,
 // SHADOWS, GLOSSY and images of ALBEDO, ROUGHNESS and NORMAL compile their part in. Where bodies are TRANSLUCENT, indirect light
-// is what leaves them over their colour, and that multiplies it. HAIR scatters direct light as fibres do.
+// is what leaves them over their colour, and that multiplies it. HAIR scatters direct light as fibres do. SPLATTED_SHADOWS come
+// from samples, in place of shadow maps.
 #ifdef DIRECT
 #include "emitters.glsl"
 #endif
@@ -87,6 +88,9 @@ void main() {
     vec3 irradiance = vec3(0.0);
 #ifdef DIRECT
     irradiance += direct_irradiance(position, facing);
+#ifdef SPLATTED_SHADOWS
+    irradiance *= splatted_share();
+#endif
 #endif
 #ifdef RECONSTRUCT_FIELD
     place_on_surface = Place(position, normal);

@@ -25,21 +25,26 @@ float attenuation(Emitter e, vec3 direction, float distance_squared) {
     return e.position.w > 0.0 ? profile / (distance_squared + e.profile.w) : profile;
 }
 
+// What an emitter that nothing hides causes at a surface point per unit of intensity; `incidence` is the cosine there.
+float strength(Emitter e, vec3 position, vec3 normal, out float incidence) {
+    vec3 offset = e.position.xyz - position * e.position.w;
+    float distance_squared = dot(offset, offset);
+    vec3 direction = offset * inversesqrt(max(distance_squared, 1e-30));
+    incidence = max(dot(normal, direction), 0.0);
+    return incidence * attenuation(e, direction, distance_squared);
+}
+
 // Direct irradiance in W/m² at a surface point.
 vec3 direct_irradiance(vec3 position, vec3 normal) {
     vec3 sum = vec3(0.0);
     for (int i = 0; i < emitter_count; ++i) {
         Emitter e = emitters[i];
-        vec3 offset = e.position.xyz - position * e.position.w;
-        float distance_squared = dot(offset, offset);
-        vec3 direction = offset * inversesqrt(max(distance_squared, 1e-30));
-        float incidence = max(dot(normal, direction), 0.0);
-        float strength = incidence * attenuation(e, direction, distance_squared);
-        if (strength > 0.0) {
+        float incidence, found = strength(e, position, normal, incidence);
+        if (found > 0.0) {
 #ifdef SHADOWS
-            strength *= visibility(e, position, normal, incidence);
+            found *= visibility(e, position, normal, incidence);
 #endif
-            sum += strength * e.intensity.rgb;
+            sum += found * e.intensity.rgb;
         }
     }
     return sum;

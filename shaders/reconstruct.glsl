@@ -7,6 +7,7 @@
 // RECONSTRUCT_LIGHTMAP the texture itself
 // RECONSTRUCT_VERTICES what was found at the vertices, interpolated by the rasteriser
 // RECONSTRUCT_FIELD    Σ_b u_b φ_b, the functions from a network of the place on the surface
+// RECONSTRUCT_SPLATS   what the splats of samples left on the screen
 // BOUNCED adds what surfaces send under fixed light: for each channel, harmonics in layers from this one on.
 // MIPS reads halved images where a frame shows many texels in a pixel.
 // GAMMA takes the sum back along the curve, times the size in the last coefficient.
@@ -16,6 +17,8 @@
 
 #ifdef RECONSTRUCT_VERTICES
 in vec3 vertex_light;
+#elif defined(RECONSTRUCT_SPLATS)
+#include "splats.glsl"
 #else
 layout(binding = 1) uniform sampler2DArray basis;
 
@@ -28,7 +31,7 @@ vec4 stored(vec2 uv, int layer) {
 }
 #endif
 
-#if !defined(RECONSTRUCT_LIGHTMAP) && !defined(RECONSTRUCT_VERTICES)
+#if !defined(RECONSTRUCT_LIGHTMAP) && !defined(RECONSTRUCT_VERTICES) && !defined(RECONSTRUCT_SPLATS)
 layout(std140, binding = 0) uniform Coefficients { vec4 coefficients[COEFFICIENTS]; };
 #endif
 
@@ -84,6 +87,8 @@ vec3 reconstruction(vec2 uv) {
     return vertex_light;
 #elif defined(RECONSTRUCT_FIELD)
     return field_light();
+#elif defined(RECONSTRUCT_SPLATS)
+    return splatted_light();
 #endif
 }
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
-from prt_bench.depth import ClusteredVisibility, hemisphere_directions, shadow_error
+from prt_bench.depth import ClusteredVisibility, DirectionGrid, hemisphere_directions, shadow_error
 from prt_bench.errors import FitError
 from prt_bench.hemisphere import tangent_frames
 from prt_bench.points import SurfacePoints
@@ -56,6 +57,35 @@ def test_directions_share_the_hemisphere_evenly():
     second = np.diag([1 / 3] * 3)
     np.testing.assert_allclose(directions.T @ directions / 2000, second, atol=2e-3)
     np.testing.assert_allclose(directions.mean(axis=0), (0, 0, 0.5), atol=2e-3)
+
+
+@pytest.mark.parametrize("count", [4, 126, 504])
+def test_cells_know_the_four_nearest_directions_of_every_place_in_them(count):
+    directions = hemisphere_directions(count)
+    grid = DirectionGrid.of(directions)
+    towards = np.random.default_rng(count).normal(size=(4000, 3))
+    towards[2000:, 2] *= 0.02  # near the horizon
+    towards[:, 2] = np.abs(towards[:, 2])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    place = towards[:, :2] / np.sqrt(1.0 + towards[:, 2:])
+    column, row = np.minimum((0.5 * place + 0.5) * grid.side, grid.side - 1).astype(int).T
+    cell = row * grid.side + column
+    nearest = KDTree(directions).query(towards, k=4)[1]
+    for at, wanted in zip(cell, nearest, strict=True):
+        assert set(wanted) <= set(grid.candidates[grid.starts[at] : grid.starts[at + 1]])
+    assert np.diff(grid.starts).max() < 20
+
+
+def test_sixteen_bits_hold_the_buffers():
+    points = ground(8)
+    model = fitted(points, 100, 12)
+    stored = model.quantised()
+    off = stored.stored(np.arange(64), np.tile(np.arange(100), (64, 1)))
+    off = off - model.stored(np.arange(64), np.tile(np.arange(100), (64, 1)))
+    assert 0 < np.abs(off).max() < 1e-3
+    coefficients, functions = model.packed(0.25)
+    kept = len(coefficients.values) + len(functions.values)
+    assert kept == round(0.25 * (model.coefficients.size + model.basis.size))
 
 
 def test_with_every_component_buffers_come_back_escaped_rays_too():

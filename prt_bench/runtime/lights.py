@@ -14,12 +14,16 @@ from prt_bench.runtime.views import ShadowViews, shadow_views
 
 @dataclass(frozen=True, eq=False)
 class UploadedLights:
-    """Buffers of one lighting, laid out as in `emitters.glsl` and `views.glsl`, and each map with its rotation."""
+    """Buffers of one lighting, laid out as in `emitters.glsl` and `views.glsl`, and each map with its rotation.
+
+    `distant` says whether any emitter is infinitely far away.
+    """
 
     emitters: moderngl.Buffer
     views: moderngl.Buffer
     view_count: int
     environments: tuple[tuple[moderngl.Texture, np.ndarray], ...]
+    distant: bool
 
     def bind(self) -> None:
         """Bind both buffers where the shaders expect them."""
@@ -40,6 +44,7 @@ def upload(context: moderngl.Context, lighting: Lighting, bounds: np.ndarray, at
         context.buffer(_pack_views(views)),
         len(views.matrix),
         tuple((_texture(context, light.map.radiance), np.asarray(rotation_matrix(light.rotation))) for light in maps),
+        bool((chosen.position[:, 3] == 0).any()),
     )
 
 

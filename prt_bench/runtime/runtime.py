@@ -27,6 +27,8 @@ from prt_bench.runtime.measured import MeasuredAsset
 from prt_bench.runtime.mesh import MeshBuffers
 from prt_bench.runtime.projection import camera_matrix
 from prt_bench.runtime.shadow import ShadowPass, lighting_defines
+from prt_bench.runtime.splats import SplattedLight
+from prt_bench.sampled import SampledLight
 from prt_bench.scene import Camera, Mesh
 
 
@@ -34,7 +36,8 @@ class Runtime:
     """Everything of a baked scene that does not depend on an asset: mesh, camera, shadow atlas, measurement points.
 
     `size` is the frame's width and height, `shadow_resolution` the side of the shadow atlas in texels, which all views
-    of a lighting share. Without `shadows`, lookups are compiled out. `camera` is the scene's unless given.
+    of a lighting share. Without `shadows`, lookups are compiled out. `camera` is the scene's unless given; as an attribute
+    it is the matrix from the world to clip space.
     Raises `RuntimeUnavailable` where no OpenGL context can be made.
     """
 
@@ -76,7 +79,7 @@ class Runtime:
 
     def look_from(self, camera: Camera) -> None:
         """Draw the following frames from another camera."""
-        self._camera = camera_matrix(camera, self.scene, self.size[0] / self.size[1])
+        self.camera = camera_matrix(camera, self.scene, self.size[0] / self.size[1])
 
     def light(self, lighting: Lighting) -> UploadedLights:
         """Upload a lighting. The other calls take the result as well as the lighting itself."""
@@ -97,6 +100,10 @@ class Runtime:
         """`diffuse` light with lobes of the glossy receivers `rows` beside it, by an asset of directional light. See
         `GlossyIndirect`."""
         return GlossyIndirect(self, diffuse, asset, rows)
+
+    def splats(self, model: SampledLight, shadow_maps: bool = False) -> SplattedLight:
+        """Light of meshless samples, splatted onto the screen; direct light by their own shadows or by `shadow_maps`."""
+        return SplattedLight(self, model, shadow_maps)
 
     def probes(self, volume: ProbeVolume, asset: RuntimeAsset | None = None) -> ProbeLight:
         """Upload an irradiance volume for bodies that move; see `ProbeLight` for what lights it and what it refuses."""
@@ -182,14 +189,15 @@ class Runtime:
             raise ValueError("a frame needs direct light, indirect light, or both")
         lights.bind()
         self.shadows.bind()
-        pass_.run(self.screen, self._camera, lights)
+        pass_.run(self.screen, self.camera, lights)
         for body in bodies:
-            body.draw(self._camera, direct, indirect is not None)
+            body.draw(self.camera, direct, indirect is not None)
         self.screen.tone_map(exposure)
 
-    def draw_pass(self, defines: shaders.Defines) -> DrawPass:
-        """A draw pass of this scene; `defines` choose its effects."""
-        return DrawPass(self.context, self.mesh, {**self._lighting_defines, **defines})
+    def draw_pass(self, defines: shaders.Defines, shadow_maps: bool = True) -> DrawPass:
+        """A draw pass of this scene; `defines` choose its effects. Without `shadow_maps` it looks up none."""
+        lighting = {name: value for name, value in self._lighting_defines.items() if shadow_maps or name != "SHADOWS"}
+        return DrawPass(self.context, self.mesh, {**lighting, **defines})
 
     def _uploaded(self, lighting: Lighting | UploadedLights) -> UploadedLights:
         return self.light(lighting) if isinstance(lighting, Lighting) else lighting

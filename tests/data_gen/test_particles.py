@@ -5,14 +5,17 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from data_gen.meshless import hemispheres, nearest_hits
+from data_gen.geometry import assemble, quad
+from data_gen.meshless import hemispheres, nearest_hits, walls_around
 from data_gen.particles import curvature, particle_samples, thinned
 from data_gen.sampling import random_points
 from data_gen.scenes import furnace, load_scene
 from data_gen.tracer import Tracer
 from prt_bench.depth import hemisphere_directions
 from prt_bench.errors import SceneError
+from prt_bench.hemisphere import tangent_frames
 from prt_bench.points import SurfacePoints
+from prt_bench.scene import Camera, Material, Scene
 from prt_bench.transport import GatherOperator, indirect
 
 SCENE = load_scene("furnace")
@@ -90,3 +93,28 @@ def test_depth_in_a_ball_is_the_chord():
     np.testing.assert_allclose(
         depth[:, high], np.broadcast_to(2.0 * directions[high, 2], depth[:, high].shape), atol=0.1
     )
+
+
+def test_lines_of_walls_part_a_floor_where_they_stand():
+    """A floor with an upright wall along x + 0.5 z = 1.2 and one that leans back from z = 2."""
+    parts = [
+        quad([(0, 0, 0), (0, 0, 3), (3, 0, 3), (3, 0, 0)], 0),
+        quad([(1.2, 0, 0), (-0.3, 0, 3), (-0.3, 2, 3), (1.2, 2, 0)], 0),
+        quad([(0, 0, 2), (0, 2, 3), (3, 2, 3), (3, 0, 2)], 0),
+    ]
+    scene = Scene("walls", assemble(parts), (Material("grey", (0.5,) * 3),), Camera((1, 3, 5), (1, 0, 1)))
+    points = random_points(scene, 2500)
+    upright = points.position[:, 0] + 0.5 * points.position[:, 2]
+    points = points[(points.position[:, 1] == 0) & (upright < 1.15) & (points.position[:, 2] < 1.95)]
+    walls = walls_around(Tracer(scene), points, scene.mesh.normals)
+    frame = tangent_frames(points.normal, np.zeros(len(points)))
+    rng = np.random.default_rng(0)
+    offset = rng.uniform(-0.8, 0.8, (len(points), 2))
+    there = points.position + np.einsum("pa,pax->px", offset, frame[:, :2])
+    past = np.stack([there[:, 0] + 0.5 * there[:, 2] - 1.2, there[:, 2] - 2.0], axis=1)
+    clear = np.abs(past).min(axis=1) > 1e-2
+    behind = (np.einsum("pa,pka->pk", offset, walls) > 1).any(axis=1)
+    assert not behind[clear & (past < 0).all(axis=1)].any()
+    assert behind[clear & (past[:, 0] > 0)].all()
+    assert np.count_nonzero(clear & (past[:, 0] > 0)) > 30
+    assert not walls_around(TRACER, POINTS[:0], SCENE.mesh.normals).size

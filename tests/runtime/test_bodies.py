@@ -92,7 +92,7 @@ def test_a_body_receives_what_the_volume_says_where_it_is(runtime, cornell, pose
     width, height = runtime.size
     screen = np.stack([2 * (columns + 0.5) / width - 1, 1 - 2 * (rows + 0.5) / height], axis=1)
     near, far = (
-        np.column_stack([screen, np.full(len(rows), depth), np.ones(len(rows))]) @ np.linalg.inv(runtime._camera).T
+        np.column_stack([screen, np.full(len(rows), depth), np.ones(len(rows))]) @ np.linalg.inv(runtime.camera).T
         for depth in (0.0, 1.0)
     )
     near, far = near[:, :3] / near[:, 3:], far[:, :3] / far[:, 3:]

@@ -122,7 +122,7 @@ def pixels(runtime: Runtime, ds: LightingDataset) -> tuple[np.ndarray, np.ndarra
     rows, columns = (part.ravel() for part in np.mgrid[:height, :width])
     screen = np.stack([2 * (columns + 0.5) / width - 1, 1 - 2 * (rows + 0.5) / height], axis=1)
     ends = [
-        np.column_stack([screen, np.full(len(rows), depth), np.ones(len(rows))]) @ np.linalg.inv(runtime._camera).T
+        np.column_stack([screen, np.full(len(rows), depth), np.ones(len(rows))]) @ np.linalg.inv(runtime.camera).T
         for depth in (-1.0, 1.0)
     ]
     near, far = (end[:, :3] / end[:, 3:] for end in ends)
