@@ -4,11 +4,12 @@ Particles find the samples of the apartment, which are grouped into clusters. Ea
 a few coefficients of its cluster; direct light of 1000 lamps gives each cluster a basis, whose functions light the scene once.
 Prints seconds and bytes, the error of shadows against ray casting by coefficients and directions (and soft ones, of lamps of
 25 points), and that of indirect light against the operator on all samples, beside bases of the whole scene. Then the same
-on a lightmap by registered methods, with as many functions.
+on a lightmap by registered methods, with as many functions, and frames of both: samples as splats and the lightmap, under one
+point and under an area of 25, timed and against path tracing.
 
     python experiments/clustered_pca.py [--radius 0.088] [--clusters 48] [--rays 64] [--lights 1000] [--directions 2016 504 126]
 
-Draws samples, clusters, shadows and light from above, and frames of the lightmap's assets. Errors are relative to the norm over
+Draws samples, clusters, shadows and light from above, and frames of both. Errors are relative to the norm over
 all samples and lamps.
 """
 
@@ -24,16 +25,18 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from _frames import arguments, table
+from _splats import compare
 from jaxtyping import Float
 from matplotlib.colors import hsv_to_rgb
 
 import prt_bench as prt
 from data_gen.direct import direct_irradiance, visibility
-from data_gen.meshless import hemispheres, nearest_hits
+from data_gen.meshless import hemispheres, nearest_hits, walls_around
 from data_gen.particles import particle_samples
 from data_gen.scenarios import sample_lightings
 from data_gen.tracer import Tracer
-from prt_bench.clusters import Clusters, apart, bases_of_clusters, clusters_of, in_clusters
+from prt_bench.assets import RuntimeAsset
+from prt_bench.clusters import Clusters, apart, bases_of_clusters, clusters_of
 from prt_bench.depth import ClusteredVisibility, hemisphere_directions, shadow_error
 from prt_bench.images import exposure_for, tone_map
 from prt_bench.lights import emitters
@@ -42,6 +45,7 @@ from prt_bench.metrics import relative_norm
 from prt_bench.packing import packed, threshold
 from prt_bench.points import SurfacePoints
 from prt_bench.runtime.runtime import Runtime
+from prt_bench.sampled import ClusteredTransfer, SampledLight, reaches
 from prt_bench.transport import GatherOperator, indirect
 
 SCENE = "apartment"
@@ -136,7 +140,7 @@ def main() -> None:
         )
         light /= np.linalg.norm(light, axis=0)
     tested = direct_irradiance(tracer, points, emitters(lamps))[..., 0].T
-    pictures = transfers(level, light, tested)
+    transfer, pictures = transfers(level, light, tested)
     total = sum(
         seconds[name]
         for name in (
@@ -153,7 +157,10 @@ def main() -> None:
     )
     print(f"\nprecomputation: {total:.0f} s\n")
     draw(settings.out, level, {**shown, **pictures})
-    on_lightmap(scene, settings)
+    test, asset, lamp = on_lightmap(scene, settings)
+    model = SampledLight(points, seen, transfer, reaches(points), walls_around(tracer, points, scene.mesh.normals))
+    (grid,) = area_lamps(np.asarray(lamp.lights[0].emitters().position)[:, :3])
+    compare(test, model, asset, lamp, grid, settings.out.with_stem(settings.out.stem + "_splats"))
 
 
 def shadows(
@@ -191,16 +198,8 @@ def shadows(
     error = shadow_error(found, np.array(wanted), open_light[:AREA_TESTED])
     print(f"\narea lamps of {SIDE**2} points, {COEFFICIENTS} coefficients: error {error:.3f}\n")
     mean, rows = 2 * kept.mean.size, []
-    # An error in a basis meets every sample of its cluster, times its coefficient.
-    functions = np.moveaxis(kept.basis, 1, 0).reshape(kept.basis.shape[1], -1)
-    weight = np.zeros((len(kept.basis), COEFFICIENTS))
-    np.add.at(weight, kept.cluster, kept.coefficients**2)
-    weight = np.sqrt(weight).ravel()
     for share in KEPT:
-        least = threshold(share, np.abs(kept.coefficients), np.abs(functions) * weight)
-        parts = [packed(kept.coefficients, least), packed(functions, least, weight)]
-        basis = np.moveaxis(parts[1].unpacked().reshape(-1, len(kept.basis), COEFFICIENTS), 0, 1)
-        model = kept._replace(coefficients=parts[0].unpacked(), basis=basis)
+        parts, model = kept.packed(share), kept.quantised(share)
         error = shadow_error(model.lit(points, places), cast, open_light)
         rows.append((f"{share:g}", f"{(mean + sum(part.bytes for part in parts)) / 1e6:.2f}", f"{error:.3f}"))
     print("visibility: share of entries kept, MB, error of shadows")
@@ -219,8 +218,10 @@ def area_lamps(centres: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "L 25 3"]
     return centres[:, None] + np.stack([x.ravel(), np.zeros(SIDE**2), z.ravel()], axis=1)
 
 
-def transfers(level: Level, light: Float[np.ndarray, "S n"], tested: Float[np.ndarray, "S k"]) -> dict[str, np.ndarray]:
-    """Tables of indirect errors and bytes; indirect light of the first lamp by the operator and by two models."""
+def transfers(
+    level: Level, light: Float[np.ndarray, "S n"], tested: Float[np.ndarray, "S k"]
+) -> tuple[ClusteredTransfer, dict[str, np.ndarray]]:
+    """Tables of indirect errors and bytes; the model per cluster, and the first lamp's indirect light by it and by others."""
     count, samples = len(level.clusters), len(level.points)
     with stage("source bases"):
         local = bases_of_clusters(light, level.owner, count, SOURCES)
@@ -229,24 +230,19 @@ def transfers(level: Level, light: Float[np.ndarray, "S n"], tested: Float[np.nd
         response = level.bounced(emitted)
     sent = emitted.T @ light
     with stage("receiver bases"):
-        spread = np.asarray(fewer_columns(jnp.asarray(sent))).astype(np.float32)
-        caused = (response @ spread).reshape(samples, -1)
-        basis = bases_of_clusters(caused, level.owner, count, RECEIVERS)
-        blocks = in_clusters(basis, response, level.owner, count)
+        model = ClusteredTransfer.joined(light, level.owner, local, response, RECEIVERS)
+    basis, blocks = model.receivers, model.blocks
+    spread = np.asarray(fewer_columns(jnp.asarray(sent))).astype(np.float32)
+    caused = (response @ spread).reshape(samples, -1)
     reference = level.bounced(tested)
     own = emitted.T @ tested
-
-    def by_blocks(coefficients: np.ndarray) -> np.ndarray:
-        inside = np.einsum("bcq,qk->bck", blocks, coefficients)
-        first = level.owner[:, None] * RECEIVERS + np.arange(RECEIVERS)
-        return np.einsum("sb,sbck->sck", basis, inside[first])
-
+    by_blocks = np.stack([model.indirect(np.repeat(lamp[:, None], 3, axis=1)) for lamp in tested.T], axis=2)
     whole = principal_rows(light.T.astype(np.float64), SOURCES * count).T
     wide = principal_rows(caused.T.astype(np.float64), SOURCES * count).T
     found = {
         f"{SOURCES} sources per cluster": (response @ own, 2 * (local.size + response.size)),
         f"{SOURCES} sources and {RECEIVERS} receivers per cluster": (
-            by_blocks(own), 2 * (local.size + basis.size + blocks.size)),
+            by_blocks, 2 * (local.size + basis.size + blocks.size)),
         f"{SOURCES} sources of the scene": (
             level.bounced(whole[:, :SOURCES] @ (whole[:, :SOURCES].T @ tested)), 2 * samples * SOURCES * 4),
     }  # fmt: skip
@@ -267,7 +263,7 @@ def transfers(level: Level, light: Float[np.ndarray, "S n"], tested: Float[np.nd
     print("\ntransfer between clusters: share of entries kept, MB with source bases, error")
     table(("kept", "MB", "error"), rows)
     names = list(found)
-    return {
+    return model, {
         "indirect, operator": reference[:, :, 0],
         "indirect, per cluster": found[names[1]][0][:, :, 0],
         "indirect, scene-wide": found[names[3]][0][:, :, 0],
@@ -278,8 +274,11 @@ def relative(found: np.ndarray, wanted: np.ndarray) -> float:
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-def on_lightmap(scene: prt.Scene, settings: Namespace) -> None:
-    """Registered methods with as many functions per receiver, on a bake of the same scene; frames beside the reference."""
+def on_lightmap(scene: prt.Scene, settings: Namespace) -> tuple[prt.LightingDataset, RuntimeAsset, prt.Lighting]:
+    """Registered methods with as many functions per receiver, on a bake of the same scene; frames beside the reference.
+
+    The held-out lightings with the asset of clustered PCA, and the one that is shown.
+    """
     ds = prt.bake(scene, "point", 128, settings.texels, 64, measurements=768, seed=0, out=settings.data, streamed=1024)
     test, rows, frames = ds.split("test"), [], {}
     nearest = np.linalg.norm(
@@ -310,6 +309,7 @@ def on_lightmap(scene: prt.Scene, settings: Namespace) -> None:
         axis.set_axis_off()
     figure.savefig(settings.out.with_stem(settings.out.stem + "_frames"), dpi=80)
     plt.close(figure)
+    return test, asset, lamp
 
 
 def draw(path: Path, level: Level, lights: dict[str, np.ndarray]) -> None:

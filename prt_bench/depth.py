@@ -115,9 +115,9 @@ class ClusteredVisibility(NamedTuple):
             basis=np.ascontiguousarray(self.basis[:, :, :size]), coefficients=self.coefficients[:, :size]
         )
 
-    def quantised(self) -> "ClusteredVisibility":
-        """As the runtime holds it: coefficients and functions in 16 bits, the mean in float32."""
-        coefficients, functions = self.packed()
+    def quantised(self, share: float = 1.0) -> "ClusteredVisibility":
+        """As the runtime holds it: coefficients and functions in 16 bits, the mean in float32; `share` as in `packed`."""
+        coefficients, functions = self.packed(share)
         clusters, directions, size = self.basis.shape
         basis = np.moveaxis(functions.unpacked().reshape(directions, clusters, size), 1, 0)
         mean = self.mean.astype(np.float32)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from data_gen.geometry import assemble, quad
 from data_gen.meshless import hemispheres, walls_around
@@ -93,6 +94,25 @@ def test_even_light_stays_even_and_every_pixel_has_some(cornell, runtime, loaded
     found = shown(runtime, loaded, np.full((loaded.samples.count, 3), 2.5))
     wanted = runtime.frame(LAMP, runtime.lightmap(np.full((len(cornell.points), 3), 2.5)), direct=False)
     np.testing.assert_allclose(found, wanted, rtol=1e-5)
+
+
+def test_slivers_without_samples_have_the_light_around_them(runtime, cornell, model):
+    """Samples of one wall alone leave others dark, but for the pixels beside it."""
+    back = np.flatnonzero(model.points.normal[:, 2] > 0.9)
+    part = model.points[back]
+    owner = np.zeros(len(part), int)
+    seen = model.visibility._replace(cluster=owner, coefficients=model.visibility.coefficients[back])
+    transfer = ClusteredTransfer(owner, np.zeros((len(part), 1)), np.zeros((len(part), 1)), np.zeros((1, 1, 1)))
+    loaded = runtime.splats(SampledLight(part, seen, transfer, model.reach[back], model.walls[back]))
+    frame = shown(runtime, loaded, np.ones((len(part), 3)))
+    wanted = runtime.frame(LAMP, runtime.lightmap(np.ones((len(cornell.points), 3))), direct=False)
+    lit = frame.any(axis=-1)
+    np.testing.assert_allclose(frame[lit], wanted[lit], rtol=1e-5)
+    facing = runtime.frame(LAMP, runtime.lightmap(cornell.points.normal[:, 2:] > 0.9), direct=False).any(axis=-1)
+    assert lit[facing].all()
+    beyond = distance_transform_edt(~facing)
+    assert lit[(beyond > 0) & (beyond <= 2) & wanted.any(axis=-1)].all()
+    assert not lit[beyond > 50].any()
 
 
 def test_light_that_varies_is_interpolated(cornell, runtime, model, loaded):
