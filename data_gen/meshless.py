@@ -1,10 +1,12 @@
-"""Light between samples that have no lightmap: hit tables that name the nearest sample, hemispheres of depth, and walls.
+"""Light between samples that have no lightmap: hit tables that name the nearest sample, hemispheres of depth, walls.
 
 Finds where rays go. What is made of it lives in `prt_bench/transport.py` and `prt_bench/depth.py`.
 """
 
+from collections.abc import Callable
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from data_gen.tracer import Tracer
@@ -60,6 +62,16 @@ def hemispheres(
         origin = np.repeat(points.position[rows] + tracer.offset * points.normal[rows], len(directions), axis=0)
         out[rows] = tracer.intersect(origin, turned).distance.reshape(-1, len(directions))
     return out
+
+
+def hidden_by_walls(tracer: Tracer, points: SurfacePoints, lift: float) -> Callable[[int], Bool[np.ndarray, " S"]]:
+    """Which samples do not see that of an index, from places `lift` in m above both: furniture that is lower hides nothing."""
+    above = points.position + lift * points.normal
+
+    def hidden(index: int) -> Bool[np.ndarray, " S"]:
+        return tracer.occluded(above, above[index] - above)
+
+    return hidden
 
 
 def walls_around(

@@ -1,14 +1,15 @@
 """Clusters of surface points: roots that are spread evenly over a surface, the root that every point belongs to, and bases.
 
-Nearness is that of place and normal together, so that a cluster reaches neither through a thin wall nor round a corner. What is
-stored for clusters lives in `clustered.py` and `sampled.py`; particles that find points without a lightmap are in
-`data_gen/particles.py`.
+Nearness is that of place and normal together, so that a cluster reaches neither through a thin wall nor round a corner; on the
+floor it reaches from room to room, unless what stands between counts as well. What is stored for clusters lives in
+`clustered.py` and `sampled.py`; particles that find points without a lightmap are in `data_gen/particles.py`.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from prt_bench.errors import FitError
@@ -43,16 +44,45 @@ def clusters_of(points: SurfacePoints, count: int, bend: float, radius: float = 
     is nearest to the middle. `bend` in m is the distance that normals at right angles count for, over √2. Deterministic.
     Raises `FitError` where there is no point.
     """
+    return _grown(points, count, bend, radius, None)[0]
+
+
+def clusters_in_sight(
+    points: SurfacePoints, count: int, bend: float, hidden: Callable[[int], Bool[np.ndarray, " p"]]
+) -> tuple[Clusters, Int[np.ndarray, " p"]]:
+    """Clusters whose members mostly see their root, and the cluster of each point: walls part what lies on both of their sides.
+
+    `hidden` tells which points do not see that of an index; for those it is `bend` farther away than it is. Otherwise as
+    `clusters_of`, and `radius` is a distance with that added.
+    """
+    return _grown(points, count, bend, 0.0, hidden)
+
+
+def _grown(
+    points: SurfacePoints,
+    count: int,
+    bend: float,
+    radius: float,
+    hidden: Callable[[int], Bool[np.ndarray, " p"]] | None,
+) -> tuple[Clusters, Int[np.ndarray, " p"]]:
+    """Roots one after another, and the nearest of them to each point."""
     if not len(points):
         raise FitError("there are no points to form clusters of; give at least one receiver")
     features = _features(points, bend)
+
+    def from_(root: int) -> Float[np.ndarray, " p"]:
+        away = np.linalg.norm(features - features[root], axis=1)
+        return away if hidden is None else away + bend * hidden(root)
+
     middle = np.linalg.norm(features[:, :3] - features[:, :3].mean(axis=0), axis=1)
     chosen = [int(np.argmin(middle))]
-    distance = np.linalg.norm(features - features[chosen[0]], axis=1)
+    distance, owner = from_(chosen[0]), np.zeros(len(points), int)
     while len(chosen) < count and distance.max() > radius:
         chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
-    return Clusters(features[chosen], bend, float(distance.max()), np.array(chosen))
+        away = from_(chosen[-1])
+        owner[away < distance] = len(chosen) - 1
+        distance = np.minimum(distance, away)
+    return Clusters(features[chosen], bend, float(distance.max()), np.array(chosen)), owner
 
 
 def bases_of_clusters(

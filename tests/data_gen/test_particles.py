@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from data_gen.geometry import assemble, quad
-from data_gen.meshless import hemispheres, nearest_hits, walls_around
+from data_gen.meshless import hemispheres, hidden_by_walls, nearest_hits, walls_around
 from data_gen.particles import curvature, particle_samples, thinned
 from data_gen.sampling import random_points
 from data_gen.scenes import furnace, load_scene
@@ -93,6 +93,19 @@ def test_depth_in_a_ball_is_the_chord():
     np.testing.assert_allclose(
         depth[:, high], np.broadcast_to(2.0 * directions[high, 2], depth[:, high].shape), atol=0.1
     )
+
+
+def test_a_wall_hides_floors_from_each_other_unless_looked_over():
+    parts = [
+        quad([(0, 0, 0), (0, 0, 2), (2, 0, 2), (2, 0, 0)], 0),
+        quad([(1, 0, 0), (1, 0, 2), (1, 0.5, 2), (1, 0.5, 0)], 0),
+    ]
+    scene = Scene("wall", assemble(parts), (Material("grey", (0.5,) * 3),), Camera((1, 3, 5), (1, 0, 1)))
+    points = random_points(scene, 200)
+    points = points[points.position[:, 1] == 0]
+    left = points.position[:, 0] < 1
+    np.testing.assert_array_equal(hidden_by_walls(Tracer(scene), points, 0.1)(3), left != left[3])
+    assert not hidden_by_walls(Tracer(scene), points, 0.6)(3).any()
 
 
 def test_lines_of_walls_part_a_floor_where_they_stand():

@@ -9,7 +9,7 @@ import pytest
 
 import prt_bench as prt
 from prt_bench.clustered import ClusteredModel
-from prt_bench.clusters import apart, bases_of_clusters, clusters_of, in_clusters
+from prt_bench.clusters import apart, bases_of_clusters, clusters_in_sight, clusters_of, in_clusters
 from prt_bench.errors import FitError
 from prt_bench.example import example_dataset
 from prt_bench.linalg import fewer_columns, principal_rows
@@ -54,6 +54,26 @@ def test_a_cluster_does_not_reach_through_a_wall():
     points = SurfacePoints(np.vstack([front, back]), ends, 0 * ends, np.zeros(200, int), 0 * ends)
     owner = clusters_of(points, 8, bend=1.0).owner(points)
     assert not set(owner[:100]) & set(owner[100:])
+
+
+def test_a_wall_on_the_floor_parts_clusters_where_it_hides():
+    """A wall at x = 0.7 m, which distance alone does not know of."""
+    place = np.stack(np.meshgrid(np.arange(10) * 0.2, np.arange(10) * 0.2), axis=-1).reshape(-1, 2)
+    up = np.repeat([[0.0, 0.0, 1.0]], 100, axis=0)
+    points = SurfacePoints(np.hstack([place, np.zeros((100, 1))]), up, 0 * up, np.zeros(100, int), 0 * up)
+    left = place[:, 0] < 0.7
+    alone = clusters_of(points, 5, bend=2.0)
+    assert any(
+        0 < left[alone.owner(points) == cluster].sum() < np.sum(alone.owner(points) == cluster) for cluster in range(5)
+    )
+    clusters, owner = clusters_in_sight(points, 5, 2.0, lambda root: left != left[root])
+    assert sorted(set(owner)) == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(left, left[clusters.chosen][owner])
+    same, open_owner = clusters_in_sight(points, 5, 2.0, lambda root: np.zeros(100, bool))
+    np.testing.assert_array_equal(same.chosen, alone.chosen)
+    own = np.linalg.norm(points.position - points.position[same.chosen][open_owner], axis=1)
+    nearest = np.linalg.norm(points.position[:, None] - points.position[same.chosen], axis=2).min(axis=1)
+    np.testing.assert_allclose(own, nearest)
 
 
 def test_bases_are_the_leading_singular_vectors_of_each_cluster():
