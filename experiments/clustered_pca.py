@@ -31,12 +31,12 @@ from matplotlib.colors import hsv_to_rgb
 
 import prt_bench as prt
 from data_gen.direct import direct_irradiance, visibility
-from data_gen.meshless import hemispheres, nearest_hits, walls_around
+from data_gen.meshless import hemispheres, hidden_by_walls, nearest_hits, walls_around
 from data_gen.particles import particle_samples
 from data_gen.scenarios import sample_lightings
 from data_gen.tracer import Tracer
 from prt_bench.assets import RuntimeAsset
-from prt_bench.clusters import Clusters, apart, bases_of_clusters, clusters_of
+from prt_bench.clusters import Clusters, apart, bases_of_clusters, clusters_in_sight
 from prt_bench.depth import ClusteredVisibility, hemisphere_directions, shadow_error
 from prt_bench.images import exposure_for, tone_map
 from prt_bench.lights import emitters
@@ -54,6 +54,7 @@ SOURCES = RECEIVERS = 10
 COEFFICIENTS = 50
 SIZES = (10, 25, 50, 100)
 KEPT = (1.0, 0.5, 0.25, 0.2, 0.1, 0.08, 0.05, 0.025)
+LIFT = 0.1  # of a cluster's side: how far above the samples walls count
 NEAR = 0.25  # m, see ClusteredVisibility
 BOUNCES = 12
 TESTED, AREA_TESTED, SIDE = 16, 4, 5  # lamps: points, and areas of 5² points
@@ -110,8 +111,10 @@ def main() -> None:
     with stage("samples"):
         points = particle_samples(scene, tracer, START, settings.radius)
     with stage("clusters"):
-        clusters = clusters_of(points, settings.clusters, float(np.sqrt(scene.mesh.areas.sum() / settings.clusters)))
-        owner = clusters.owner(points)
+        bend = float(np.sqrt(scene.mesh.areas.sum() / settings.clusters))
+        clusters, owner = clusters_in_sight(
+            points, settings.clusters, bend, hidden_by_walls(tracer, points, LIFT * bend)
+        )
     with stage("hit table"):
         hits = nearest_hits(tracer, points, scene.mesh.normals, settings.rays)
         level = Level(points, clusters, owner, GatherOperator.from_hits(hits, len(points)))
