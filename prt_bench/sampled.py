@@ -26,7 +26,6 @@ from prt_bench.points import SurfacePoints
 _SAME_WAY = 0.5  # cosine between normals from which two samples are of one surface
 _AROUND = 24  # neighbours among which those are looked for
 _COVERED_BY = 6  # of which a splat reaches
-_OVERLAP = 1.25
 
 Bounced = Callable[[Float[np.ndarray, "S n"]], Float[np.ndarray, "S C n"]]
 """Indirect light of all bounces at the samples, in each channel, from columns of grey direct light there."""
@@ -147,9 +146,9 @@ def check_near(distant: bool) -> None:
 
 
 def reaches(points: SurfacePoints) -> Float[np.ndarray, " S"]:
-    """How far in m the light of each sample is spread: a quarter more than to the sixth neighbour that faces the same way.
+    """How far in m the light of each sample is spread: to the sixth neighbour that faces the same way.
 
-    So every place of a surface is reached from about ten samples, however densely they lie. Where fewer neighbours face that
+    So a place of a surface is reached from about seven samples, however densely they lie. Where fewer neighbours face that
     way it is the farthest of them; where none does, the nearest of all.
     """
     distance, near = KDTree(points.position).query(points.position, k=min(_AROUND, len(points)), workers=-1)
@@ -158,4 +157,4 @@ def reaches(points: SurfacePoints) -> Float[np.ndarray, " S"]:
     place = np.cumsum(same, axis=1)  # a sample is the first of its own neighbours
     last = np.argmax(place >= np.minimum(place[:, -1:], _COVERED_BY + 1), axis=1)
     found = distance[np.arange(len(points)), last]
-    return _OVERLAP * np.where(found > 0, found, distance[:, min(1, distance.shape[1] - 1)])
+    return np.where(found > 0, found, distance[:, min(1, distance.shape[1] - 1)])

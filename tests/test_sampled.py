@@ -81,14 +81,14 @@ def test_light_on_an_open_plane_falls_with_the_square_of_the_distance():
         model.direct(Lighting((DirectionalLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0)),)))
 
 
-def test_a_splat_reaches_past_the_sixth_neighbour_of_its_own_side():
+def test_a_splat_reaches_to_the_sixth_neighbour_of_its_own_side():
     """On a square grid that is one of the four diagonal ones, whatever lies behind the surface."""
     points = flat(7)
     inner = np.flatnonzero(np.all((points.position[:, :2] > 0.05) & (points.position[:, :2] < 0.55), axis=1))
     alone, backed = reaches(points), reaches(together(points, flat(7, -0.01, -1.0)))
-    np.testing.assert_allclose(alone[inner], 1.25 * np.sqrt(0.02))
+    np.testing.assert_allclose(alone[inner], np.sqrt(0.02))
     np.testing.assert_allclose(backed[: len(points)], alone)
-    np.testing.assert_allclose(reaches(points[np.array([0, 3])]), 1.25 * 0.3)
+    np.testing.assert_allclose(reaches(points[np.array([0, 3])]), 0.3)
 
 
 def test_bad_samples_are_refused():
