@@ -37,7 +37,7 @@ def compare(
 ) -> None:
     """Tables of milliseconds and of errors under `lamp`, and under its light spread over the points of `grid`; a picture."""
     (source,) = lamp.lights
-    shares = np.asarray(source.intensity) / len(grid)
+    shares = np.asarray(source.emitters().intensity)[0] / len(grid)
     lights = {"1 point": lamp, f"{len(grid)} points": prt.Lighting(tuple(prt.PointLight(at, shares) for at in grid))}
     timed(ds, model, asset, lights)
     errors(ds, model, asset, lights, path)

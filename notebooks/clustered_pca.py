@@ -102,7 +102,7 @@ plt.show()
 
 # %%
 lamps = sample_lightings(scene, "point", 8, 1, tracer, achromatic=True)
-places = np.array([np.asarray(lamp.lights[0].position) for lamp in lamps])
+places = np.array([np.asarray(lamp.lights[0].emitters().position)[0, :3] for lamp in lamps])
 unshadowed = direct_irradiance(tracer, points, emitters(lamps), shadow_rays=False)[..., 0]
 cast = visibility(tracer, points, emitters(lamps))[..., 0]
 errors = []

@@ -70,7 +70,7 @@ def test_cells_know_the_four_nearest_directions_of_every_place_in_them(count):
     place = towards[:, :2] / np.sqrt(1.0 + towards[:, 2:])
     column, row = np.minimum((0.5 * place + 0.5) * grid.side, grid.side - 1).astype(int).T
     cell = row * grid.side + column
-    nearest = KDTree(directions).query(towards, k=4)[1]
+    nearest = np.asarray(KDTree(directions).query(towards, k=4)[1])
     for at, wanted in zip(cell, nearest, strict=True):
         assert set(wanted) <= set(grid.candidates[grid.starts[at] : grid.starts[at + 1]])
     assert np.diff(grid.starts).max() < 20

@@ -106,12 +106,12 @@ def test_slivers_without_samples_have_the_light_around_them(runtime, cornell, mo
     loaded = runtime.splats(SampledLight(part, seen, transfer, model.reach[back], model.walls[back]))
     frame = shown(runtime, loaded, np.ones((len(part), 3)))
     wanted = runtime.frame(LAMP, runtime.lightmap(np.ones((len(cornell.points), 3))), direct=False)
-    lit = frame.any(axis=-1)
+    lit = np.asarray(frame.any(axis=-1))
     np.testing.assert_allclose(frame[lit], wanted[lit], rtol=1e-5)
     facing = runtime.frame(LAMP, runtime.lightmap(cornell.points.normal[:, 2:] > 0.9), direct=False).any(axis=-1)
     assert lit[facing].all()
-    beyond = distance_transform_edt(~facing)
-    assert lit[(beyond > 0) & (beyond <= 2) & wanted.any(axis=-1)].all()
+    beyond = np.asarray(distance_transform_edt(~facing))
+    assert lit[(beyond > 0) & (beyond <= 2) & np.asarray(wanted.any(axis=-1))].all()
     assert not lit[beyond > 50].any()
 
 
