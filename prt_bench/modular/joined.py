@@ -93,7 +93,7 @@ def joined(
 
 
 def _operators(model: LevelTransfer) -> _Blocks:
-    dictionary, kind, back = model.dictionary, np.asarray(model.kind), np.asarray(model.back)
+    dictionary, kind, turns = model.dictionary, np.asarray(model.kind), np.asarray(model.turns)
     within, read, prior, arriving = (
         np.asarray(getattr(dictionary, name), np.float64) for name in ("basis", "read", "prior", "arriving")
     )
@@ -103,7 +103,8 @@ def _operators(model: LevelTransfer) -> _Blocks:
     arrives = np.zeros((len(enters), rows, count * size))
     for to, source, pair in zip(*map(np.asarray, (model.pair_to, model.pair_from, model.pairs)), strict=True):
         arrives[to, :, source * size : (source + 1) * size] = pair
-    light = arriving[np.asarray(model.entry_back)] * solid[enters][:, :, None]
+    back = turns[np.asarray(model.quarters)]
+    light = arriving[turns[np.asarray(model.along)]] * solid[enters][:, :, None]
     return _Blocks(
         np.stack([within[k][order] for k, order in zip(kind, back, strict=True)]) * solid[:, :, None],
         np.stack([read[k][:, order] for k, order in zip(kind, back, strict=True)]),

@@ -20,5 +20,13 @@ def dictionary() -> Dictionary:
 def any_dictionary() -> Dictionary:
     """Sizes all differ, so that none can stand for another."""
     random, n = np.random.default_rng(0), FACES * SIDE**2
-    shapes = (len(KINDS), n, 20), (len(KINDS), 20, n), (len(KINDS), SIDES, 14, 20), (3, 14, 14), (12, 14), (n, 12)
+    shapes = (
+        (len(KINDS), n, 20),
+        (len(KINDS), 20, n),
+        (len(KINDS), n, 30),
+        (len(KINDS), SIDES, 14, 20),
+        (3, 14, 14),
+        (12, 14),
+        (n, 12),
+    )
     return Dictionary(*(jnp.asarray(random.random(shape) / shape[-1], jnp.float32) for shape in shapes))

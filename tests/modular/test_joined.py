@@ -48,7 +48,9 @@ def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bou
     model = transfer(ROW, dictionary)
     albedo = np.repeat(RNG.uniform(0.2, 0.8, (3, 6, 3)), side * side, axis=1)
     points = on_blocks(placed, side, albedo)
-    likely = np.stack([np.asarray(dictionary.prior[kind])[back] for kind, back in zip(model.kind, model.back)])  # noqa: B905
+    likely = np.take_along_axis(
+        np.asarray(dictionary.prior)[model.kind], np.asarray(model.turns)[model.quarters][:, :, None], axis=1
+    )
     radiosity = np.einsum("nsp,npc->nsc", likely, RNG.normal(size=(3, likely.shape[2], 3)))
     direct = radiosity / albedo
     wanted = np.asarray(model(jnp.asarray(direct), jnp.asarray(albedo), bounces))
