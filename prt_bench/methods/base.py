@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import ClassVar, Self
 
 import jax
@@ -40,7 +41,7 @@ class Method(ABC):
     def label(self) -> str:
         """The name with the settings that tell rows of one table apart: the basis size, and whatever is not default.
 
-        Settings without a say in the result, `field(compare=False)`, are left out.
+        Settings without a say in the result, `field(compare=False)`, are left out; paths are told by their last part.
         """
         told = [self.name]
         for setting in (each for each in fields(self) if each.compare):
@@ -50,7 +51,7 @@ class Method(ABC):
             elif isinstance(value, jax.Array):
                 continue  # traced, see `with_traced`
             elif value != setting.default and isinstance(value, str):
-                told.append(value)
+                told.append(Path(value).name)
             elif value != setting.default:
                 told.append(f"{setting.name}={value:g}" if isinstance(value, float) else f"{setting.name}={value}")
         return " ".join(told)

@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from prt_bench.linalg import ridge
-from prt_bench.modular.block import observation, on_faces
+from prt_bench.modular.block import Box, observation, on_faces, received, shares
 from prt_bench.modular.dictionary import Dictionary
 from prt_bench.modular.level import LevelTransfer, transfer
 from prt_bench.modular.modes import factors
 from prt_bench.modular.placed import Placed
 from prt_bench.points import SurfacePoints
 
+_ON_FACE = 0.02  # edges of a block that a point may be from its face, and share of its normal that may point elsewhere
 _SMALL = 1e-9  # singular values below this share of the largest are rounding
 
 
@@ -77,8 +78,10 @@ def joined(
         rows = np.flatnonzero(by_receiver == n)
         if not len(rows):
             continue
-        sees = observation(box, receivers[rows], side)
-        shown = np.concatenate([sees @ each for each in (blocks.within[n], *blocks.entering[n][0])], axis=1)
+        shown = np.concatenate([
+            _own_light(box, receivers[rows], blocks.within[n], blocks.prior[n] @ np.linalg.pinv(spread[n], _SMALL), side),
+            *(observation(box, receivers[rows], side) @ each for each in blocks.entering[n][0]),
+        ], axis=1)  # fmt: skip
         own = np.zeros((size, count * size))
         own[:, n * size : (n + 1) * size] = np.eye(size)
         q, r = np.linalg.qr(shown)
@@ -111,6 +114,19 @@ def _operators(model: LevelTransfer) -> _Blocks:
         np.stack([prior[k][order] for k, order in zip(kind, back, strict=True)]),
         [(light[enters == n], arrives[enters == n]) for n in range(count)],
     )
+
+
+def _own_light(
+    box: Box, points: SurfacePoints, within: Float[np.ndarray, "n B"], implicit: Float[np.ndarray, "n B"], side: int
+) -> Float[np.ndarray, "P B"]:
+    """Light of a block's own surfaces at points: that of its faces where points lie on them, gathered from there elsewhere."""
+    found = observation(box, points, side) @ within
+    share = shares(points.normal)
+    local, face = box.local(points.position), np.argmax(share, axis=1)
+    away = 0.5 - np.where(face % 2 == 0, 1.0, -1.0) * local[np.arange(len(face)), face // 2]
+    inside = (away > _ON_FACE) | (share.max(axis=1) < 1.0 - _ON_FACE)
+    found[inside] = received(box, points[inside], implicit, side)
+    return found
 
 
 def _estimate(

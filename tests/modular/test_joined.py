@@ -22,7 +22,7 @@ from prt_bench.points import SurfacePoints
 
 LEVELS = Path(__file__).parents[2] / "experiments" / "levels"
 ROW = Level(((0, 0), (1, 0), (1, 1)))
-LINES = ((1.0, 3.0, 8.0), (-2.0, 0.0, 1.0), (0.5, 3.5))  # rooms of 2 m and 5 m by 2 m and 1 m, 3 m high
+PLACES = ((1.0, 3.0, 8.0), (0.5, 3.5), (-2.0, 0.0, 1.0))  # rooms of 2 m and 5 m by 2 m and 1 m, 3 m high
 RNG = np.random.default_rng(3)
 
 
@@ -44,7 +44,7 @@ def on_blocks(placed, side, albedo):
 @pytest.mark.parametrize("bounces", [1, 3, 4])
 def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bounces):
     """Light in the span of the prior, at every sample; rooms are stretched, which changes neither side."""
-    placed, side = Placed(ROW, *LINES), dictionary.side
+    placed, side = Placed(ROW, *PLACES), dictionary.side
     model = transfer(ROW, dictionary)
     albedo = np.repeat(RNG.uniform(0.2, 0.8, (3, 6, 3)), side * side, axis=1)
     points = on_blocks(placed, side, albedo)
@@ -65,7 +65,7 @@ def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bou
 
 
 def test_points_on_a_wall_belong_to_the_block_they_face():
-    placed = Placed(ROW, *LINES)
+    placed = Placed(ROW, *PLACES)
     position = np.array([[3.0, 1.0, -1.0], [3.0, 1.0, -1.0], [7.9, 1.0, 0.5], [-5.0, 1.0, -1.0]])
     normal = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     points = SurfacePoints(position, normal, np.ones((4, 3)), np.zeros(4, int), np.full((4, 3), 1.0 / 3.0))
@@ -86,11 +86,11 @@ def test_the_file_of_the_maze_is_the_maze():
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("blocks = [[0, 0]]", "add columns, rows, heights in metres"),
-        ("blocks = [[0, 0]]\ncolumns = [0, 1]\nrows = [1, 0]\nheights = [0, 1]", "rows of a level must be numbers that rise"),
-        ("blocks = [[1, 0]]\ncolumns = [0, 1]\nrows = [0, 1]\nheights = [0, 1]", r"block \[1, 0\] of a level lies beyond"),
-        ("blocks = [[0, 0]]\ncolumns = [0, 1]\nrows = [0, 1]\nheights = [0, 1, 2]", "two heights"),
-        ("blocks = [[0, 0]]\ncolumns = [0, 'a']\nrows = [0, 1]\nheights = [0, 1]", "lists of numbers in metres"),
+        ("blocks = [[0, 0]]", "add x, y, z in metres"),
+        ("blocks = [[0, 0]]\nx = [0, 1]\ny = [1, 0]\nz = [0, 1]", "`y` of a level must be two or more rising places"),
+        ("blocks = [[1, 0]]\nx = [0, 1]\ny = [0, 1]\nz = [0, 1]", r"block \[1, 0\] of a level lies beyond"),
+        ("blocks = [[0, 0]]\nx = [0, 1]\ny = [0, 1, 2]\nz = [0, 1]", "height of floor and ceiling"),
+        ("blocks = [[0, 0]]\nx = [0, 'a']\ny = [0, 1]\nz = [0, 1]", "lists of numbers in metres"),
         ("blocks = [[0, 0]]\nlines = 3", "unknown keys"),
     ],
 )  # fmt: skip
@@ -109,7 +109,7 @@ def test_a_level_is_lit_by_a_method_that_has_never_seen_it(dictionary, tmp_path,
     path = tmp_path / "level-2.toml"
     path.write_text(
         "blocks = [[0, 0], [1, 0]]\nwalls = [[[0, 0], [1, 0]]]\n"
-        "columns = [-1.5, 1.5, 4.5]\nrows = [-1.5, 1.5]\nheights = [-1.5, 1.5]\n",
+        "x = [-1.5, 1.5, 4.5]\ny = [-1.5, 1.5]\nz = [-1.5, 1.5]\n",
         encoding="utf-8",
     )
     test = ds.split("test")
