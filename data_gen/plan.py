@@ -279,8 +279,8 @@ def _convexity(scene: Scene) -> str | None:
     slack = 1e-6 * scene.extent
     behind = in_front = True
     normals, corners = scene.mesh.normals, scene.mesh.triangles[:, 0]
-    for start in range(0, len(normals), 256):
-        part = slice(start, start + 256)
+    for start in range(0, len(normals), 16):
+        part = slice(start, start + 16)
         height = normals[part] @ scene.mesh.vertices.T - np.sum(normals[part] * corners[part], axis=1)[:, None]
         behind &= bool(np.all(height <= slack))
         in_front &= bool(np.all(height >= -slack))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from data_gen.levels import scene_of
 from prt_bench.modular.level import maze
-from prt_bench.scene import Scene
+from prt_bench.scene import Camera, Scene
 
 BLOCKS, SEED = 11, 0
 GREY = (0.7, 0.7, 0.7)
@@ -17,5 +17,6 @@ ALBEDO = (GREY, GREY, GREY, (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
 
 
 def build() -> Scene:
-    """Rooms of 3 m by 3 m, 3 m high, walls 3 cm thick."""
-    return replace(scene_of(maze(BLOCKS, SEED), ALBEDO), name="maze")
+    """Rooms of 3 m by 3 m, 3 m high, walls 3 cm thick, seen from a corner of the first one."""
+    camera = Camera((-1.3, 0.3, -1.3), (2.0, -0.5, 2.6), fov_y=65.0)
+    return replace(scene_of(maze(BLOCKS, SEED), ALBEDO), name="maze", camera=camera)
