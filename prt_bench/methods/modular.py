@@ -23,7 +23,7 @@ from prt_bench.models import LinearModel
 from prt_bench.modular.block import Box, missing_faces, modes_of, observation, on_faces, received
 from prt_bench.modular.dictionary import standard
 from prt_bench.modular.joined import joined
-from prt_bench.modular.modes import Modes
+from prt_bench.modular.modes import series
 from prt_bench.modular.placed import Placed
 
 
@@ -73,9 +73,10 @@ class Modular(Method):
         transport, size, path = ds.transport, max(self.basis, 32), Path(self.level)
         placed = Placed.load(path / f"{transport.scene.name}.toml" if path.is_dir() else path)
         basis, block, matrix = joined(
-            placed, standard(side=self.side, functions=size, prior=2 * size, lights=self.lights), ds.measurement_points,
-            transport.samples, transport.receivers, self.basis, self.ridge, transport.bounces, self.depth,
-            fit_albedo(ds).shape[1],
+            placed, standard(side=self.side, functions=size, prior=2 * size, lights=self.lights),
+            ds.measurement_points, transport.samples, transport.receivers,
+            transport.scene.mesh.areas.sum() / len(transport.samples),
+            self.basis, self.ridge, transport.bounces, self.depth, fit_albedo(ds).shape[1],
         )  # fmt: skip
         weights = jnp.pad(jnp.asarray(matrix), ((0, 0), (0, 0), (0, 1)))
         return ClusteredModel(jnp.asarray(basis), jnp.asarray(block, jnp.float64), weights)
@@ -90,7 +91,8 @@ class Modular(Method):
         albedo = np.asarray(points.albedo[:, :channels], float)
         first = _first_bounce(jnp.asarray(seen @ modes.prior), jnp.asarray(modes.read @ modes.prior), self.ridge)
         reflects = on_faces(observation(box, samples, self.side), np.asarray(samples.albedo[:, :channels], float))
-        sums = _bounces(modes, reflects, ds.transport.bounces)
+        onwards = np.einsum("bn,nc,nd->cbd", modes.read, reflects, modes.basis, optimize=True)
+        sums = series(onwards, ds.transport.bounces)
         matrix = np.einsum("cij,jm,mc->cim", sums, np.asarray(first), albedo)
         basis = received(box, ds.transport.receivers, modes.implicit, self.side)
         spare = self.basis - basis.shape[1]
@@ -104,13 +106,3 @@ def _first_bounce(
     measured: Float[Array, "M k"], bounced: Float[Array, "B k"], ridge_factor: float
 ) -> Float[Array, "B M"]:
     return ridge(measured, bounced, relative_damping(measured, ridge_factor))
-
-
-def _bounces(modes: Modes, albedo: Float[np.ndarray, "n C"], bounces: int) -> Float[np.ndarray, "C B B"]:
-    """1 + R + … + R^(bounces − 1) for every channel, R from the light after one bounce to that after the next."""
-    onwards = np.einsum("bn,nc,nd->cbd", modes.read, albedo, modes.basis, optimize=True)
-    identity = np.eye(onwards.shape[1])
-    total = np.broadcast_to(identity, onwards.shape)
-    for _ in range(bounces - 1):
-        total = identity + onwards @ total
-    return total

@@ -11,7 +11,7 @@ from functools import cache
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 
 from prt_bench.modular.cube import FACES, Met, bilinear, cosine_rays, interpolation
@@ -54,15 +54,24 @@ def shares(normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 6"]:
     return np.maximum(towards, 0.0) ** 2 / np.maximum(np.sum(normal**2, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
+def covered(
+    box: Box,
+    position: Float[np.ndarray, "P 3"],
+    normal: Float[np.ndarray, "P 3"],
+    area: Float[np.ndarray, " P"] | float,
+) -> Bool[np.ndarray, "6"]:
+    """Faces that enough surface in the half of the box next to them looks away from, of pieces of surface of so many m²."""
+    local = box.local(position)
+    near = np.stack([local > 0, local <= 0], axis=2).reshape(-1, FACES)
+    return np.sum(np.reshape(area, (-1, 1)) * shares(normal) * near, axis=0) >= COVERED * box.areas
+
+
 def missing_faces(box: Box, mesh: Mesh) -> tuple[int, ...]:
     """Faces that too little surface in the half of the box next to them looks away from.
 
     Where fewer than two are left, about a single body, none is missing: what the body sends out is taken to come back.
     """
-    middle = box.local(mesh.triangles.mean(axis=1))
-    near = np.stack([middle > 0, middle <= 0], axis=2).reshape(-1, FACES)
-    covered = mesh.areas @ (shares(mesh.normals) * near)
-    missing = np.flatnonzero(covered < COVERED * box.areas)
+    missing = np.flatnonzero(~covered(box, mesh.triangles.mean(axis=1), mesh.normals, mesh.areas))
     return tuple(missing.tolist()) if len(missing) < FACES - 1 else ()
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from prt_bench.linalg import ridge
-from prt_bench.modular.block import Box, observation, on_faces, received, shares
+from prt_bench.modular.block import Box, covered, observation, on_faces, received, shares
 from prt_bench.modular.dictionary import Dictionary
 from prt_bench.modular.level import LevelTransfer, transfer
-from prt_bench.modular.modes import factors
+from prt_bench.modular.modes import factors, series
 from prt_bench.modular.placed import Placed
 from prt_bench.points import SurfacePoints
 
@@ -38,16 +38,19 @@ class _Blocks(NamedTuple):
     within: Float[np.ndarray, "N n B"]
     read: Float[np.ndarray, "N B n"]
     prior: Float[np.ndarray, "N n p"]
+    implicit: Float[np.ndarray, "N n B"]
+    """The radiosity whose one bounce is `within`, in the span of the prior."""
     entering: list[tuple[Float[np.ndarray, "I n R"], Float[np.ndarray, "I R NB"]]]
     """For each block, of every interface into it: light at the samples, and what enters by the coefficients of all blocks."""
 
 
 def joined(
     placed: Placed, dictionary: Dictionary, measured: SurfacePoints, samples: SurfacePoints, receivers: SurfacePoints,
-    functions: int, ridge_factor: float, bounces: int, depth: int = 8, channels: int = 3,
+    area: float, functions: int, ridge_factor: float, bounces: int, depth: int = 8, channels: int = 3,
 ) -> Joined:  # fmt: skip
     """Indirect light at `receivers` from direct light at the points `measured`; `samples` tell the albedo of the faces.
 
+    Each sample stands for `area` m² of surface: a face that too little of it looks away from is black, for light to get out.
     `ridge_factor` is relative to the prior's light at the points; `depth` interfaces are passed at most. Raises `FitError` for
     points where the level has no block.
     """
@@ -60,18 +63,20 @@ def joined(
     spread = np.zeros((count, size, blocks.prior.shape[2]))
     for n, box in enumerate(placed.boxes):
         rows = np.flatnonzero(by_measured == n)
-        points = measured[rows]
-        spread[n] = blocks.read[n] @ blocks.prior[n]
-        first = _estimate(observation(box, points, side) @ blocks.prior[n], spread[n], ridge_factor)
+        points, surface = measured[rows], samples[by_sample == n]
+        there = np.repeat(covered(box, surface.position, surface.normal, area), side * side)
+        plausible = blocks.prior[n] * there[:, None]
+        spread[n] = blocks.read[n] @ plausible
+        first = _estimate(observation(box, points, side) @ plausible, spread[n], ridge_factor)
         reading[:, n][:, :, rows] = first * np.asarray(points.albedo[:, :channels], float).T[:, None]
-        points = samples[by_sample == n]
-        albedo = on_faces(observation(box, points, side), np.asarray(points.albedo[:, :channels], float))
+        albedo = on_faces(observation(box, surface, side), np.asarray(surface.albedo[:, :channels], float))
+        albedo = albedo * there[:, None]
         for c in range(channels):
             reflects = blocks.read[n] * albedo[:, c]
             onwards[c, n, :, n * size : (n + 1) * size] = reflects @ blocks.within[n]
             for light, arrives in zip(*blocks.entering[n], strict=True):
                 onwards[c, n] += (reflects @ light) @ arrives
-    sums = [_series(each.reshape(count * size, -1), bounces) for each in onwards]
+    sums = series(onwards.reshape(channels, count * size, -1), bounces)
 
     basis, matrix = np.zeros((len(receivers), functions)), np.zeros((channels, count, functions, len(measured)))
     for n, box in enumerate(placed.boxes):
@@ -79,7 +84,7 @@ def joined(
         if not len(rows):
             continue
         shown = np.concatenate([
-            _own_light(box, receivers[rows], blocks.within[n], blocks.prior[n] @ np.linalg.pinv(spread[n], _SMALL), side),
+            _own_light(box, receivers[rows], blocks.within[n], blocks.implicit[n], side),
             *(observation(box, receivers[rows], side) @ each for each in blocks.entering[n][0]),
         ], axis=1)  # fmt: skip
         own = np.zeros((size, count * size))
@@ -100,6 +105,7 @@ def _operators(model: LevelTransfer) -> _Blocks:
     within, read, prior, arriving = (
         np.asarray(getattr(dictionary, name), np.float64) for name in ("basis", "read", "prior", "arriving")
     )
+    implicit = prior @ np.linalg.pinv(read @ prior, _SMALL)
     solid, size = np.asarray(model.solid, np.float64), read.shape[1]
     count, rows = len(kind), arriving.shape[1]
     enters = np.asarray(model.enters)
@@ -112,6 +118,7 @@ def _operators(model: LevelTransfer) -> _Blocks:
         np.stack([within[k][order] for k, order in zip(kind, back, strict=True)]) * solid[:, :, None],
         np.stack([read[k][:, order] for k, order in zip(kind, back, strict=True)]),
         np.stack([prior[k][order] for k, order in zip(kind, back, strict=True)]),
+        np.stack([implicit[k][order] for k, order in zip(kind, back, strict=True)]),
         [(light[enters == n], arrives[enters == n]) for n in range(count)],
     )
 
@@ -139,13 +146,3 @@ def _estimate(
     damping = factor * np.sum(seen**2) / max(len(seen), 1)
     padded: Array = jnp.pad(jnp.asarray(seen), ((0, spare), (0, 0)))
     return np.asarray(ridge(padded, jnp.asarray(wanted), jnp.asarray(damping)))[:, : len(seen)]
-
-
-def _series(onwards: Float[np.ndarray, "B B"], bounces: int) -> Float[np.ndarray, "B B"]:
-    """1 + R + … + R^(bounces − 1), by halves."""
-    identity = np.eye(len(onwards))
-    if bounces == 1:
-        return identity
-    half = _series(onwards, bounces // 2)
-    total = half + np.linalg.matrix_power(onwards, bounces // 2) @ half
-    return identity + onwards @ total if bounces % 2 else total

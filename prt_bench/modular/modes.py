@@ -136,3 +136,13 @@ def _modes(transport: np.ndarray, basis: np.ndarray, weights: np.ndarray, functi
 def needed(values: Float[np.ndarray, " k"], share: float) -> int:
     """How many singular values, from the largest, hold a share of the energy: of the sum of their squares."""
     return int(np.searchsorted(np.cumsum(values**2) / np.sum(values**2), share) + 1)
+
+
+def series(onwards: Float[np.ndarray, "*c B B"], bounces: int) -> Float[np.ndarray, "*c B B"]:
+    """1 + R + … + R^(bounces − 1), R from light after one bounce to that after the next; by halves."""
+    identity = np.broadcast_to(np.eye(onwards.shape[-1]), onwards.shape)
+    if bounces == 1:
+        return identity
+    half = series(onwards, bounces // 2)
+    total = half + np.linalg.matrix_power(onwards, bounces // 2) @ half
+    return identity + onwards @ total if bounces % 2 else total

@@ -48,17 +48,18 @@ def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bou
     model = transfer(ROW, dictionary)
     albedo = np.repeat(RNG.uniform(0.2, 0.8, (3, 6, 3)), side * side, axis=1)
     points = on_blocks(placed, side, albedo)
+    area = sum(box.areas.sum() for box in placed.boxes) / len(points)
     likely = np.take_along_axis(
         np.asarray(dictionary.prior)[model.kind], np.asarray(model.turns)[model.quarters][:, :, None], axis=1
     )
     radiosity = np.einsum("nsp,npc->nsc", likely, RNG.normal(size=(3, likely.shape[2], 3)))
     direct = radiosity / albedo
     wanted = np.asarray(model(jnp.asarray(direct), jnp.asarray(albedo), bounces))
-    basis, block, matrix = joined(placed, dictionary, points, points, points, 200, 1e-12, bounces)
+    basis, block, matrix = joined(placed, dictionary, points, points, points, area, 200, 1e-12, bounces)
     coefficients = np.einsum("cqm,mc->qc", matrix, direct.reshape(-1, 3)).reshape(3, 200, 3)
     found = np.einsum("tk,tkc->tc", basis, coefficients[block]).reshape(wanted.shape)
     assert relative_rmse(found, wanted) < 1e-5
-    few, _, _ = joined(placed, dictionary, points, points, points, 12, 1e-12, bounces)
+    few, _, _ = joined(placed, dictionary, points, points, points, area, 12, 1e-12, bounces)
     assert few.shape == (len(points), 12)
     for n in range(3):
         np.testing.assert_allclose(few[block == n].T @ few[block == n], np.eye(12), atol=1e-9)
