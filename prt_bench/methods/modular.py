@@ -21,7 +21,7 @@ from prt_bench.methods.linear import linear_model
 from prt_bench.methods.operator import fit_albedo
 from prt_bench.models import LinearModel
 from prt_bench.modular.block import Box, missing_faces, modes_of, observation, on_faces, received
-from prt_bench.modular.dictionary import standard
+from prt_bench.modular.dictionary import Dictionary, standard
 from prt_bench.modular.joined import joined
 from prt_bench.modular.modes import series
 from prt_bench.modular.placed import Placed
@@ -69,13 +69,17 @@ class Modular(Method):
         """
         return self._joined(ds) if self.level else self._one_box(ds)
 
+    def dictionary(self) -> Dictionary:
+        """The dictionary of levels for these settings, computed where it is not kept yet."""
+        size = max(self.basis, 32)
+        return standard(side=self.side, functions=size, prior=2 * size, lights=self.lights)
+
     def _joined(self, ds: LightingDataset) -> ClusteredModel:
-        transport, size, path = ds.transport, max(self.basis, 32), Path(self.level)
+        transport, path = ds.transport, Path(self.level)
         placed = Placed.load(path / f"{transport.scene.name}.toml" if path.is_dir() else path)
+        area = float(transport.scene.mesh.areas.sum()) / len(transport.samples)
         basis, block, matrix = joined(
-            placed, standard(side=self.side, functions=size, prior=2 * size, lights=self.lights),
-            ds.measurement_points, transport.samples, transport.receivers,
-            transport.scene.mesh.areas.sum() / len(transport.samples),
+            placed, self.dictionary(), ds.measurement_points, transport.samples, transport.receivers, area,
             self.basis, self.ridge, transport.bounces, self.depth, fit_albedo(ds).shape[1],
         )  # fmt: skip
         weights = jnp.pad(jnp.asarray(matrix), ((0, 0), (0, 0), (0, 1)))
