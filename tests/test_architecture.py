@@ -44,6 +44,8 @@ READ_BY_BAKE = (
 )
 READ_BY_REPORT = ("records", "errors")
 MOST_LINES = 400
+TAKEN_APART = ("clustered_pca",)
+"""Notebooks that show how a method works from within."""
 
 
 @cache
@@ -193,8 +195,11 @@ def test_the_reference_tracer_shares_no_operator_code(name: str):
 
 
 def test_notebooks_use_the_public_surface_alone():
-    used = {name for source in files("notebooks").values() for name in imports(source) if within(name, *PACKAGES)}
-    assert used <= {"prt_bench", "prt_bench.chain", "prt_bench.lights", "prt_bench.transport"}
+    """But for those that take one method apart, whose pieces are what they show."""
+    public = {"prt_bench", "prt_bench.chain", "prt_bench.lights", "prt_bench.transport"}
+    for path, source in files("notebooks").items():
+        used = {name for name in imports(source) if within(name, *PACKAGES)}
+        assert used <= public or Path(path).stem in TAKEN_APART, (path, used - public)
 
 
 def test_what_is_imported_is_declared():
