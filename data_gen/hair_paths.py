@@ -6,8 +6,9 @@ is weighted. All channels share a path, which is that of the least absorbed one;
 absorbed. What is made of paths is in `effects/hair.py`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from data_gen.strand_atlas import texel_edges
 from data_gen.tracer import Tracer
 from prt_bench.hair import Hair, Inclination, crossing, draw
 from prt_bench.hemisphere import hashed, tangent_frames
-from prt_bench.scene import Scene
+from prt_bench.scene import Mesh, Scene
 from prt_bench.strands import TEXELS, Strands
 
 LONGEST = 1 << 14
@@ -52,8 +53,8 @@ class Visits(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """Visits of some paths, their `fate` [n, D], and whether the first ray of each met nothing: 1, 0, or −1 where there was no
-    ray."""
+    """Visits of some paths, step by step in each, their `fate` [n, D], and whether the first ray of each met nothing: 1, 0, or
+    −1 where there was no ray."""
 
     visits: Visits
     fate: Int[np.ndarray, "n D"]
@@ -85,7 +86,7 @@ class StrandPaths:
         )
 
     def openness(self, texel: Int[np.ndarray, " n"], rays: int, key: int) -> Float[np.ndarray, " n"]:
-        """Direct irradiance on strand texels under a sky of radiance 1/π: the share of the sky that they see."""
+        """Direct irradiance on strand texels from radiance 1/π that comes in from outside of the hair: how open it is there."""
         keys = hashed(np.arange(len(texel) * rays, dtype=np.uint64) + np.uint64(key) * np.uint64(1 << 40))
         seen = np.empty(len(keys), bool)
 
@@ -94,11 +95,22 @@ class StrandPaths:
             strand, _, position, tangent = self._place(texel[here], keys[block], 0.5)
             direction = _from_everywhere(tangent, keys[block])
             origin = self._outside(strand, position, tangent, direction).astype(np.float32)
-            seen[block] = ~self.tracer.occluded(origin, direction * self.tracer.reach)
+            seen[block] = ~self._alone.occluded(origin, direction * self.tracer.reach)
 
         with self.tracer.pool() as executor:
             list(executor.map(look, [slice(at, at + BLOCK) for at in range(0, len(keys), BLOCK)]))
+        if self._alone is not self.tracer:
+            self.tracer.shadow += len(keys)
         return seen.reshape(-1, rays).mean(axis=1)
+
+    @cached_property
+    def _alone(self) -> Tracer:
+        """Rays against the strands and nothing else."""
+        mesh, surfaces = self.scene.mesh, self.scene.surfaces
+        if not surfaces:
+            return self.tracer
+        alone = Mesh(mesh.vertices, mesh.faces[surfaces:], mesh.material[surfaces:])
+        return Tracer(replace(self.scene, mesh=alone, strands=None), self.tracer.workers)
 
     def _place(
         self, texel: np.ndarray, key: np.ndarray, along: float | None = None

@@ -1,12 +1,13 @@
 """Hair: a sparse, light-independent map from irradiance at gather samples to light that leaves strands after several fibres.
 
-Paths (`data_gen/hair_paths.py`) are traced once from each texel of a strand. Light that falls on any fibre of a path, or on the
+Paths (`data_gen/hair_paths.py`) are traced once from each texel of a strand. Light that falls on a path's last fibre, or on the
 surface where it ends, leaves the texel: those places are drawn from, as many as a point has rays, and the scale of a row says
 how many there were.
 
-Between fibres light is followed by direction. Direct light that a fibre scatters is taken to leave it evenly around it, as what
-is stored of it is a mean around the fibre. That forgets that paths which go out of the hair go on outward, and by itself loses
-light; so places on fibres are weighted to give what the paths themselves see of a sky that is the same everywhere (`_weights`).
+Between fibres light is followed by direction. Of direct light a mean around the fibre is stored, which has none: over how open
+the hair is at that place (`StrandPaths.openness`) it is the mean radiance that comes in there from outside. That is what a path
+sees which goes out of the hair, to a surface or to the sky; so the last fibre of each such path counts by one over its
+openness, and no other does. Light that is the same everywhere outside then stays so, but for places that hardly see out.
 
 What rays from surfaces see of hair is the same mean. Checks, predictions and tables in the store are here; their use is
 `prt_bench.transport.Scattering`.
@@ -22,7 +23,7 @@ import zarr
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-from data_gen.hair_paths import BLOCK, LONGEST, Fate, StrandPaths, Visits
+from data_gen.hair_paths import BLOCK, LONGEST, Fate, Followed, StrandPaths
 from data_gen.journal import Journal, create_array
 from data_gen.medium_walk import uniform, walk_keys
 from data_gen.resolve import HitResolver
@@ -37,11 +38,10 @@ from prt_bench.store import write_array
 from prt_bench.strands import TEXELS
 from prt_bench.walks import WalkTable
 
-VERSION = 1  # part of the transport's key: raise when the same inputs would give other paths
+VERSION = 2  # part of the transport's key: raise when the same inputs would give other paths
 _PATHS = 1 << 17  # paths that are traced and stored together
 _PILOT = 2 * BLOCK  # paths that are followed to predict what all of them cost
-_SKY_RAYS = 64  # from each texel, that tell how much of the sky it sees
-_PRIOR = 8.0  # paths whose worth of the neighbours' weight is mixed into that of a texel
+_SKY_RAYS = 64  # from each texel, that tell how open the hair is there
 _REFLECTED, _ONWARD, _DRAWN = np.uint64(21), np.uint64(22), np.uint64(23)  # choose random numbers
 
 
@@ -100,6 +100,7 @@ def measured_rates(scene: Scene, tracer: Tracer) -> Rates:
     texel = np.random.default_rng(0).integers(0, len(scene.strands) * TEXELS, _PILOT)
     keys = hashed(np.arange(_PILOT, dtype=np.uint64))
     paths = StrandPaths(scene, scene.strands, tracer, _Nowhere(), 1 if scene.achromatic else 3)
+    paths.openness(texel[:1], 1, 0)  # so that what is built for the first rays is not timed
     started, before = time.perf_counter(), tracer.nearest
     paths.follow(texel, keys)
     between = time.perf_counter()
@@ -206,11 +207,10 @@ class _Table:
         scale = np.zeros((len(texel), channels, 2), np.float32)
         turn = uniform(hashed(2 * texel[:, None].astype(np.uint64) + np.arange(2, dtype=np.uint64)), _DRAWN).ravel()
         for channel in range(channels):
-            path, sample, on_fibre = self._sources(followed.visits, keys, channel)
-            # Paths that leave at once bring direct light.
-            later = (followed.fate[:, channel] == Fate.ESCAPED) & (followed.open == 0)
-            escaped = later.reshape(len(texel), -1).sum(axis=1)
-            weight = np.where(on_fibre, self._weights(path, sample, on_fibre, escaped)[path // self.rays], 1.0)
+            path, sample, on_fibre = self._sources(followed, keys, channel)
+            # Of k open rays among n, (n + 1) / (k + 1) is 1 / openness on average, where n / k is more.
+            through = (_SKY_RAYS + 1.0) / (_SKY_RAYS * self.open[sample] + 1.0)
+            weight = np.where(on_fibre, through, 1.0)
             group = path // slots  # texel by texel, each with two halves of its paths
             order = np.argsort(group, kind="stable")
             total = np.bincount(group, weight, 2 * len(texel))
@@ -229,26 +229,18 @@ class _Table:
         fates = np.stack([np.bincount(column, minlength=len(Fate)) for column in followed.fate.T])
         return ends, scale, fates
 
-    def _weights(
-        self, path: np.ndarray, sample: np.ndarray, on_fibre: np.ndarray, escaped: Int[np.ndarray, " p"]
-    ) -> Float[np.ndarray, " p"]:
-        """What visits of fibres count, texel by texel: paths that escape after some, over the sky seen where they were.
-
-        Under a sky that is the same everywhere the first is the light that leaves a texel after several fibres, and the second
-        what the stored map makes of it. Where few paths escape the mean of the texels traced together takes over.
-        """
-        texel = path[on_fibre] // self.rays
-        seen = np.bincount(texel, self.open[sample[on_fibre]], len(escaped))
-        mean = escaped.sum() / max(seen.sum(), 1e-9)
-        return (escaped + _PRIOR * min(mean, 4.0)) / (seen + _PRIOR)
-
     def _sources(
-        self, visits: Visits, keys: np.ndarray, channel: int
+        self, followed: Followed, keys: np.ndarray, channel: int
     ) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " v"], Bool[np.ndarray, " v"]]:
         """Paths, samples whose irradiance leaves along them, on fibres and, by their albedo, on surfaces; which are fibres."""
-        index = hashed(keys[visits.path])
+        visits, index = followed.visits, hashed(keys[followed.visits.path])
         reflected = uniform(index, _REFLECTED) < self.albedo[visits.sample, channel]
-        kept = visits.passed[:, channel] & (~visits.surface | reflected)
+        last = np.full(len(keys), -1)
+        on_fibres = np.flatnonzero(~visits.surface)
+        last[visits.path[on_fibres]] = on_fibres  # later visits take the place of earlier ones
+        went_out = np.isin(followed.fate[:, channel], (Fate.ESCAPED, Fate.SURFACE)) & (last >= 0)
+        kept = visits.passed[:, channel] & visits.surface & reflected
+        kept[last[went_out]] = True
         path, sample, fibre = visits.path[kept], visits.sample[kept].astype(np.int64), ~visits.surface[kept]
         if self.bodies is None:
             return path, sample, fibre

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import prt_bench as prt
-from data_gen.geometry import Part, assemble, solid
+from data_gen.geometry import Part, assemble, box, solid
 from data_gen.hair_paths import Fate, StrandPaths
 from data_gen.medium_walk import walk_keys
 from data_gen.resolve import HitResolver
@@ -27,7 +27,7 @@ from prt_bench.methods.operator import importance, respond
 from prt_bench.scene import Material, Scene
 from prt_bench.strands import Strands
 from tests.data_gen.test_absent_effect import preprocessed
-from tests.data_gen.tuft import FIBRES, WHITE, tuft
+from tests.data_gen.tuft import FIBRES, GROUND, WHITE, tuft
 
 BROWN = (0.1, 0.25, 0.6)
 SMALL = {"scenario": "point", "lightings": 6, "texels": 64, "rays": 32, "measurements": 32}
@@ -195,6 +195,23 @@ def test_predicted_rays_are_those_that_were_traced(brown: LightingDataset) -> No
     predicted, actual = brown.metadata["predicted"], brown.metadata["actual"]
     assert actual["gather_rays"] == pytest.approx(predicted["gather_rays"], rel=0.25)
     assert actual["shadow_rays"] == pytest.approx(predicted["shadow_rays"], rel=0.35)
+
+
+def test_black_walls_around_hair_change_nothing_between_fibres(tmp_path: Path) -> None:
+    """Paths out of the hair see the light that comes in there, whether they go on to the sky or to a wall."""
+    alone = tuft(Hair(BROWN), 60)
+    assert alone.strands is not None
+    walls = box((2.0, 2.0, 2.0), GROUND)
+    mesh = assemble([Part(walls.vertices, walls.faces[:, ::-1], GROUND)])
+    black = Material("wall", (0.0, 0.0, 0.0))
+    room = replace(without_strands(alone), mesh=mesh, materials=(black, alone.materials[FIBRES]))
+    lamp = prt.Lighting([prt.PointLight((1.0, 1.2, 0.8), (1.0, 1.0, 1.0))])
+    within, outside = (
+        prt.light(baked(scene, tmp_path, lightings=1), [lamp]).indirect[0, -600:]
+        for scene in (with_strands(room, alone.strands), alone)
+    )
+    assert outside.mean() > 0.01
+    assert within.mean(axis=0) == pytest.approx(outside.mean(axis=0), rel=0.03)
 
 
 def test_black_hair_is_dark_and_finite(tmp_path: Path) -> None:

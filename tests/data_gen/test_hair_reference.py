@@ -88,12 +88,12 @@ class Connected:
         return total
 
 
-@pytest.mark.parametrize(("forward", "most"), [(True, (0.1, 0.6, 0.6)), (False, (0.15, 0.15, 0.15))])
+@pytest.mark.parametrize(("forward", "most"), [(True, (0.1, 0.5, 0.45)), (False, (0.15, 0.15, 0.15))])
 def test_the_map_agrees_with_paths_that_know_the_lights_direction(
     forward: bool, most: tuple[float, ...], tmp_path: Path
 ) -> None:
-    """Light that leaves all strands, those near the light and those away from it. Measured at first: ratios of 1.03, 1.48 and
-    0.54 for fibres that scatter forward, 1.09, 1.10 and 1.06 for those that scatter evenly."""
+    """Light that leaves all strands, those near the light and those away from it. Measured: ratios of 1.02, 1.44 and
+    0.60 for fibres that scatter forward, 1.09, 1.10 and 1.02 for those that scatter evenly."""
     hair = Hair(GREY) if forward else Hair(GREY, variance=10.0, scale=10.0)
     scene = tuft(hair, 300)
     ds = prt.bake(scene, "directional", lightings=1, texels=64, rays=64, measurements=16, out=tmp_path)
