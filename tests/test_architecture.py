@@ -44,7 +44,7 @@ READ_BY_BAKE = (
 )
 READ_BY_REPORT = ("records", "errors")
 MOST_LINES = 400
-TAKEN_APART = ("clustered_pca",)
+TAKEN_APART = ("clustered_pca", "modular")
 """Notebooks that show how a method works from within."""
 
 
