@@ -11,9 +11,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.sparse import csr_array
 
 from prt_bench.linalg import ridge
 from prt_bench.modular.block import Box, covered, observation, on_faces, received, shares
+from prt_bench.modular.cube import FACES
 from prt_bench.modular.dictionary import Dictionary
 from prt_bench.modular.level import LevelTransfer, transfer
 from prt_bench.modular.modes import factors, series
@@ -55,49 +57,53 @@ def joined(
     points where the level has no block.
     """
     blocks = _operators(transfer(placed.level, dictionary, depth))
-    side, count, size = dictionary.side, len(placed.boxes), dictionary.read.shape[1]
-    by_measured, by_sample, by_receiver = (placed.owner(points) for points in (measured, samples, receivers))
-
-    reading = np.zeros((channels, count, size, len(measured)))
-    onwards = np.zeros((channels, count, size, count * size))
-    spread = np.zeros((count, size, blocks.prior.shape[2]))
-    for n, box in enumerate(placed.boxes):
-        rows = np.flatnonzero(by_measured == n)
-        points, surface = measured[rows], samples[by_sample == n]
-        there = np.repeat(covered(box, surface.position, surface.normal, area), side * side)
-        plausible = blocks.prior[n] * there[:, None]
-        spread[n] = blocks.read[n] @ plausible
-        first = _estimate(observation(box, points, side) @ plausible, spread[n], ridge_factor)
-        reading[:, n][:, :, rows] = first * np.asarray(points.albedo[:, :channels], float).T[:, None]
-        albedo = on_faces(observation(box, surface, side), np.asarray(surface.albedo[:, :channels], float))
-        albedo = albedo * there[:, None]
-        for c in range(channels):
-            reflects = blocks.read[n] * albedo[:, c]
-            onwards[c, n, :, n * size : (n + 1) * size] = reflects @ blocks.within[n]
-            for light, arrives in zip(*blocks.entering[n], strict=True):
-                onwards[c, n] += (reflects @ light) @ arrives
-    sums = series(onwards.reshape(channels, count * size, -1), bounces)
-
+    seen, lit = placed.owner(measured), placed.owner(receivers)
+    reading, spread, onwards = _between_bounces(placed, blocks, measured, seen, samples, area, ridge_factor, channels)
+    sums, (count, size) = series(onwards, bounces), spread.shape[:2]
     basis, matrix = np.zeros((len(receivers), functions)), np.zeros((channels, count, functions, len(measured)))
     for n, box in enumerate(placed.boxes):
-        rows = np.flatnonzero(by_receiver == n)
+        rows = np.flatnonzero(lit == n)
         if not len(rows):
             continue
-        shown = np.concatenate([
-            _own_light(box, receivers[rows], blocks.within[n], blocks.implicit[n], side),
-            *(observation(box, receivers[rows], side) @ each for each in blocks.entering[n][0]),
-        ], axis=1)  # fmt: skip
-        own = np.zeros((size, count * size))
-        own[:, n * size : (n + 1) * size] = np.eye(size)
-        q, r = np.linalg.qr(shown)
+        light, arrives = blocks.entering[n]
+        looked_up = observation(box, receivers[rows], dictionary.side)
+        own = _own_light(box, receivers[rows], looked_up, blocks.within[n], blocks.implicit[n])
+        q, r = np.linalg.qr(np.concatenate([own, *(looked_up @ each for each in light)], axis=1))
+        here = np.eye(count)[n][:, None] * np.eye(size)[:, None]
         # [C, ·, N B]: light at the receivers on q, from the first bounce of every block
-        caused = np.stack([r @ (np.concatenate([own, *blocks.entering[n][1]]) @ total) for total in sums])
+        caused = r @ np.concatenate([here.reshape(size, -1), *arrives]) @ sums
         likely = np.einsum("cqsb,sbp->qcsp", caused.reshape(*caused.shape[:2], count, size), spread, optimize=True)
         u, s, _ = factors(likely.reshape(len(r), -1))
         rank = min(functions, int(np.sum(s > _SMALL * s[0])))
         basis[rows, :rank] = q @ u[:, :rank]
-        matrix[:, n, :rank] = (u[:, :rank].T @ caused) @ reading.reshape(channels, count * size, -1)
-    return Joined(basis, by_receiver, matrix.reshape(channels, count * functions, -1))
+        matrix[:, n, :rank] = (u[:, :rank].T @ caused) @ reading
+    return Joined(basis, lit, matrix.reshape(channels, count * functions, -1))
+
+
+def _between_bounces(
+    placed: Placed, blocks: "_Blocks", measured: SurfacePoints, seen: Int[np.ndarray, " M"], samples: SurfacePoints,
+    area: float, ridge_factor: float, channels: int,
+) -> tuple[Float[np.ndarray, "C NB M"], Float[np.ndarray, "N B p"], Float[np.ndarray, "C NB NB"]]:  # fmt: skip
+    """W ρ, from direct light at the points; b of the prior's light in each block; and R of each channel."""
+    count, size, side = *blocks.read.shape[:2], round((blocks.read.shape[2] / FACES) ** 0.5)
+    reading = np.zeros((channels, count, size, len(measured)))
+    onwards = np.zeros((channels, count, size, count * size))
+    spread = np.zeros((count, size, blocks.prior.shape[2]))
+    near = placed.owner(samples)
+    for n, box in enumerate(placed.boxes):
+        rows, surface = np.flatnonzero(seen == n), samples[near == n]
+        there = np.repeat(covered(box, surface.position, surface.normal, area), side * side)
+        plausible = blocks.prior[n] * there[:, None]
+        spread[n] = blocks.read[n] @ plausible
+        first = _estimate(observation(box, measured[rows], side) @ plausible, spread[n], ridge_factor)
+        reading[:, n][:, :, rows] = first * np.asarray(measured[rows].albedo[:, :channels], float).T[:, None]
+        albedo = on_faces(observation(box, surface, side), np.asarray(surface.albedo[:, :channels], float))
+        for c, reflected in enumerate((albedo * there[:, None]).T):
+            reflects = blocks.read[n] * reflected
+            onwards[c, n, :, n * size : (n + 1) * size] = reflects @ blocks.within[n]
+            for light, arrives in zip(*blocks.entering[n], strict=True):
+                onwards[c, n] += (reflects @ light) @ arrives
+    return reading.reshape(channels, count * size, -1), spread, onwards.reshape(channels, count * size, -1)
 
 
 def _operators(model: LevelTransfer) -> _Blocks:
@@ -124,15 +130,18 @@ def _operators(model: LevelTransfer) -> _Blocks:
 
 
 def _own_light(
-    box: Box, points: SurfacePoints, within: Float[np.ndarray, "n B"], implicit: Float[np.ndarray, "n B"], side: int
+    box: Box,
+    points: SurfacePoints,
+    looked_up: csr_array,
+    within: Float[np.ndarray, "n B"],
+    implicit: Float[np.ndarray, "n B"],
 ) -> Float[np.ndarray, "P B"]:
     """Light of a block's own surfaces at points: that of its faces where points lie on them, gathered from there elsewhere."""
-    found = observation(box, points, side) @ within
-    share = shares(points.normal)
+    found, share = looked_up @ within, shares(points.normal)
     local, face = box.local(points.position), np.argmax(share, axis=1)
     away = 0.5 - np.where(face % 2 == 0, 1.0, -1.0) * local[np.arange(len(face)), face // 2]
     inside = (away > _ON_FACE) | (share.max(axis=1) < 1.0 - _ON_FACE)
-    found[inside] = received(box, points[inside], implicit, side)
+    found[inside] = received(box, points[inside], implicit, round((len(within) / FACES) ** 0.5))
     return found
 
 
