@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 import prt_bench as prt
 from data_gen.levels import EDGE, block_samples, scene_of
+from data_gen.scenes.maze import ALBEDO
 from prt_bench.modular.atlas import LevelAtlas
 from prt_bench.modular.dictionary import Dictionary, build
 from prt_bench.modular.level import Level, LevelTransfer, maze, transfer
@@ -37,7 +38,6 @@ from prt_bench.store import data_folder
 from prt_bench.timing import interleaved
 
 PAPER_MS = {11: 1.4, 41: 6.2}
-ALBEDO = ((0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
 BOUNCES = 6
 TOLERANCES = (0.0, 1e-3, 1e-2)
 SIZE = (640, 480)

@@ -22,19 +22,19 @@ from scipy.spatial import KDTree
 import prt_bench as prt
 from data_gen.direct import direct_irradiance
 from data_gen.levels import EDGE, block_samples, scene_of
+from data_gen.scenes.maze import ALBEDO
 from data_gen.tracer import Tracer
 from prt_bench.lights import emitters
 from prt_bench.metrics import relative_rmse
 from prt_bench.modular.cube import one_bounce
 from prt_bench.modular.dictionary import Dictionary, build
 from prt_bench.modular.level import maze, transfer
-from prt_bench.modular.modes import _modes, direct_light, enriched, needed
+from prt_bench.modular.modes import direct_light, enriched, needed
 from prt_bench.store import data_folder
 from prt_bench.transport import indirect
 
 SHARES = (0.8, 0.9, 0.95)
 PAPER = {"F": (164, 240, 313), "L": (22, 41, 62), "M": (1, 5, 8)}
-ALBEDO = ((0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.7, 0.7, 0.7), (0.5, 0.4, 0.3), (0.3, 0.5, 0.7), (0.7, 0.3, 0.2))
 LIT = 12  # lightings that are compared
 PIXELS = 40  # of a picture along a block
 
@@ -64,10 +64,11 @@ def main() -> None:
 def spectra() -> None:
     """Singular values that hold most of the energy of the one-bounce operator, of direct light, and of both together."""
     transport, light = one_bounce(16), direct_light(16, (), 63)
+    prior, weights = enriched([light], 64)
     values = {
         "F": np.linalg.svd(transport, compute_uv=False),
         "L": np.linalg.svd(light, compute_uv=False),
-        "M": _modes(transport, *enriched([light], 64), 32).decay,
+        "M": np.linalg.svd(transport @ (prior * weights), compute_uv=False),
     }
     told = [
         (name, *(f"{needed(values[name], share)} ({PAPER[name][i]})" for i, share in enumerate(SHARES)))
