@@ -23,6 +23,7 @@ from prt_bench.store import data_folder
 PUBLISHED = {"normalise": "measured", "ridge": 1e-3}
 """What `svd-ridge` needs to be as published: light over the norm of its measured values; mean and mono-channel are its own."""
 SIZE = (320, 320)
+_SUM = "our direct + indirect"
 
 
 class Row(NamedTuple):
@@ -83,6 +84,37 @@ def frames(
         error = relative_norm(np.asarray(asset.predict(ds))[index : index + 1] - truth, truth)[0]
         captions[name] = f"error {error:.1%}, FLIP {flip(tone_map(drawn[name], exposure) / 255.0, shown):.3f}"
     return drawn, captions
+
+
+def lit(
+    runtime: Runtime, ds: prt.LightingDataset, index: int, asset: RuntimeAsset
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Direct light, an asset's indirect light, their sum and the reference under one lighting; error and FLIP of the sum."""
+    lighting = ds.lightings[index]
+    both, captions = frames(runtime, ds, index, {_SUM: asset})
+    shown = {
+        "direct": runtime.frame(lighting),
+        "our indirect": runtime.frame(lighting, runtime.load(asset), direct=False),
+        _SUM: both[_SUM],
+        "reference": both["reference"],
+    }
+    return shown, captions
+
+
+def flip_of(captions: Mapping[str, str]) -> str:
+    """FLIP in the captions of `lit`."""
+    return captions[_SUM].split("FLIP ")[1]
+
+
+def floors(path: Path, panels: Mapping[str, np.ndarray], height: float) -> None:
+    """Pictures of a floor from above beside each other, of values from 0 to 1 as a screen shows them."""
+    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), height), layout="constrained")
+    for axis, (title, shown) in zip(axes, panels.items(), strict=True):
+        axis.imshow(shown, interpolation="nearest")
+        axis.set(title=title, xticks=[], yticks=[])
+        axis.set_frame_on(False)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
 
 
 def draw(path: Path, rows: Sequence[Row], exposed_as: Callable[[str], str] = lambda title: "reference") -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from _frames import SIZE, Row, arguments, draw, frames, median_lighting, table
+from _frames import SIZE, Row, arguments, draw, flip_of, lit, median_lighting, table
 
 import prt_bench as prt
 from data_gen.scenes import hairball
@@ -46,17 +46,10 @@ def main() -> None:
             asset = method.fit(ds.split("train")).export(Path(folder) / label)
             index = median_lighting(asset, test)
             runtime = Runtime(ds, SIZE, shadow_resolution=settings.shadows)
-            both, captions = frames(runtime, test, index, {"ours": asset})
-            lighting = test.lightings[index]
-            shown = {
-                "direct": runtime.frame(lighting),
-                "our indirect": runtime.frame(lighting, runtime.load(asset), direct=False),
-                "our direct + indirect": both["ours"],
-                "reference": both["reference"],
-            }
-            rows.append(Row(f"{label}: {scene.name}", shown, {"our direct + indirect": captions["ours"]}))
+            shown, captions = lit(runtime, test, index, asset)
+            rows.append(Row(f"{label}: {scene.name}", shown, captions))
             error = relative_rmse(np.asarray(asset.predict(test)), test.indirect)
-            lines.append((label, scene.name, f"{texels}²", f"{seconds:.0f}", error, captions["ours"].split("FLIP ")[1]))
+            lines.append((label, scene.name, f"{texels}²", f"{seconds:.0f}", error, flip_of(captions)))
     table(("kind", "scene", "texels", "bake s", "error", "FLIP"), lines)
     draw(settings.out, rows)
 

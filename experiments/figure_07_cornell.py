@@ -9,7 +9,7 @@ error of projecting the reference on the same basis, and the errors of the frame
 
 from tempfile import TemporaryDirectory
 
-from _frames import PUBLISHED, SIZE, Row, arguments, bake, draw, frames, median_lighting, ship, table
+from _frames import PUBLISHED, SIZE, Row, arguments, bake, draw, lit, median_lighting, ship, table
 
 import prt_bench as prt
 from prt_bench.evaluate import errors
@@ -29,18 +29,11 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         assets = ship(methods, ds.split("train"), folder)
         index = median_lighting(assets["as published"], test)
-        lighting = test.lightings[index]
         for name, asset in assets.items():
-            both, captions = frames(runtime, test, index, {name: asset})
-            shown = {
-                "direct": runtime.frame(lighting),
-                "our indirect": runtime.frame(lighting, runtime.load(asset), direct=False),
-                "our direct + indirect": both[name],
-                "reference": both["reference"],
-            }
-            rows.append(Row(name, shown, {"our direct + indirect": captions[name]}))
+            shown, captions = lit(runtime, test, index, asset)
+            rows.append(Row(name, shown, captions))
             found = errors(None, test, asset)
-            lines.append((name, found.relative_rmse, found.projection, *captions[name].split(", ")))
+            lines.append((name, found.relative_rmse, found.projection, *next(iter(captions.values())).split(", ")))
     table(("method", "rel. RMSE", "projection", "this lighting", "this frame"), lines)
     print(f"\nnoise floor {test.noise_floor:.3f}; drawn: held-out lighting {index}")
     draw(settings.out, rows)

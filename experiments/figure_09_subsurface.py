@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from _frames import PUBLISHED, Row, arguments, draw, frames, median_lighting, table
+from _frames import PUBLISHED, Row, arguments, draw, flip_of, lit, median_lighting, table
 from settings import displayed
 
 import prt_bench as prt
@@ -52,20 +52,14 @@ def main() -> None:
             seconds = time.perf_counter() - started
             index = median_lighting(asset, test) if index is None else index
             found = np.asarray(asset.predict(test))
-            both, captions = frames(runtime, test, index, {name: asset})
+            shown, captions = lit(runtime, test, index, asset)
             lines.append((
                 name, *errors(found, test.indirect), *errors(found[:, stone], test.indirect[:, stone]),
-                f"{negative_share(found):.1%}", captions[name].split("FLIP ")[1], f"{sum(asset.bytes.values()) / 1e6:.1f}",
+                f"{negative_share(found):.1%}", flip_of(captions), f"{sum(asset.bytes.values()) / 1e6:.1f}",
                 f"{seconds:.1f}",
             ))  # fmt: skip
             if name in DRAWN:
-                shown = {
-                    "direct": runtime.frame(test.lightings[index]),
-                    "our indirect": runtime.frame(test.lightings[index], runtime.load(asset), direct=False),
-                    "our direct + indirect": both[name],
-                    "reference": both["reference"],
-                }
-                rows.append(Row(name, shown, {"our direct + indirect": captions[name]}))
+                rows.append(Row(name, shown, captions))
         table(("transfer", "error", "displayed", "stone", "displayed", "below zero", "FLIP", "MB", "fit s"), lines)
         print(f"\nnoise floor {test.noise_floor:.3f}; drawn: held-out lighting {index}")
         draw(settings.out, rows)

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _frames import PUBLISHED, SIZE, Row, arguments, draw, frames, median_lighting, table
+from _frames import PUBLISHED, SIZE, Row, arguments, draw, flip_of, lit, median_lighting, table
 
 import prt_bench as prt
 from data_gen.scenes import hairball
@@ -63,19 +63,13 @@ def main() -> None:
             asset = method.fit(ds.split("train")).export(Path(folder) / name.replace(" ", "-"))
             index = median_lighting(asset, test) if index is None else index
             found = np.asarray(asset.predict(test))
-            both, captions = frames(runtime, test, index, {name: asset})
+            shown, captions = lit(runtime, test, index, asset)
             lines.append((
                 name, relative_rmse(found, test.indirect), relative_rmse(found[:, fibres], test.indirect[:, fibres]),
-                captions[name].split("FLIP ")[1], f"{sum(asset.bytes.values()) / 1e6:.2f}",
+                flip_of(captions), f"{sum(asset.bytes.values()) / 1e6:.2f}",
             ))  # fmt: skip
             if name in DRAWN:
-                shown = {
-                    "direct": runtime.frame(test.lightings[index]),
-                    "our indirect": runtime.frame(test.lightings[index], runtime.load(asset), direct=False),
-                    "our direct + indirect": both[name],
-                    "reference": both["reference"],
-                }
-                rows.append(Row(name, shown, {"our direct + indirect": captions[name]}))
+                rows.append(Row(name, shown, captions))
         table(("transfer", "error", "on hair", "FLIP", "MB"), lines)
         print(f"\ndrawn: held-out lighting {index}")
         draw(settings.out, rows)

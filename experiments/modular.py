@@ -14,9 +14,8 @@ import time
 from pathlib import Path
 
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
-from _frames import arguments, table
+from _frames import arguments, floors, table
 from scipy.spatial import KDTree
 
 import prt_bench as prt
@@ -133,18 +132,13 @@ def draw(path: Path, ds: prt.LightingDataset, wanted: np.ndarray, found: np.ndar
     x, z = (np.arange(low[axis], high[axis], 1.0 / PIXELS) for axis in (0, 1))
     away, nearest = KDTree(place).query(np.stack(np.meshgrid(x, z), axis=-1))
     top = np.quantile(wanted[floor], 0.99)
-    figure, axes = plt.subplots(1, 3, figsize=(12, 4 * len(z) / len(x) + 0.5), layout="constrained")
-    parts = (
-        ("traced", np.clip(wanted / top, 0, 1) ** (1 / 2.2)),
-        ("modular", np.clip(found / top, 0, 1) ** (1 / 2.2)),
-        ("difference × 4", np.clip(0.5 + 4.0 * (found - wanted) / top, 0, 1)),
-    )
-    for axis, (title, light) in zip(axes, parts, strict=True):
-        axis.imshow(np.where((away < 0.1)[..., None], light[floor][nearest], 1.0), interpolation="nearest")
-        axis.set(title=title, xticks=[], yticks=[])
-        axis.set_frame_on(False)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    parts = {
+        "traced": np.clip(wanted / top, 0, 1) ** (1 / 2.2),
+        "modular": np.clip(found / top, 0, 1) ** (1 / 2.2),
+        "difference × 4": np.clip(0.5 + 4.0 * (found - wanted) / top, 0, 1),
+    }
+    panels = {title: np.where((away < 0.1)[..., None], light[floor][nearest], 1.0) for title, light in parts.items()}
+    floors(path, panels, 4 * len(z) / len(x) + 0.5)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import jax
-import matplotlib.pyplot as plt
 import numpy as np
-from _frames import arguments, table
+from _frames import arguments, floors, table
 from modular import ambient_error
 from scipy.spatial import KDTree
 
@@ -103,14 +102,11 @@ def draw(path: Path, ds: prt.LightingDataset, *lights: np.ndarray) -> None:
     x, z = (np.linspace(low[axis], high[axis], round(24 * (high[axis] - low[axis]))) for axis in (0, 1))
     away, nearest = KDTree(place).query(np.stack(np.meshgrid(x, z), axis=-1))
     top = np.quantile(lights[0][floor], 0.99)
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3), layout="constrained")
-    for axis, title, light in zip(axes, ("traced", "one block", "four blocks"), lights, strict=True):
-        shown = np.clip(light[floor][nearest] / top, 0, 1) ** (1 / 2.2)
-        axis.imshow(np.where((away < 0.5)[..., None], shown, 1.0), interpolation="nearest")
-        axis.set(title=title, xticks=[], yticks=[])
-        axis.set_frame_on(False)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    panels = {
+        title: np.where((away < 0.5)[..., None], np.clip(light[floor][nearest] / top, 0, 1) ** (1 / 2.2), 1.0)
+        for title, light in zip(("traced", "one block", "four blocks"), lights, strict=True)
+    }
+    floors(path, panels, 3.0)
 
 
 if __name__ == "__main__":
