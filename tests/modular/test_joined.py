@@ -11,7 +11,6 @@ import pytest
 import prt_bench as prt
 from data_gen.bake import bake
 from data_gen.levels import EDGE, scene_of
-from data_gen.scenes import load_scene
 from data_gen.scenes.maze import BLOCKS, SEED
 from prt_bench.errors import FitError, SpecError
 from prt_bench.metrics import relative_rmse
@@ -121,7 +120,3 @@ def test_a_level_is_lit_by_a_method_that_has_never_seen_it(dictionary, tmp_path,
 
     assert error(level=str(tmp_path)) < 0.3
     assert error() > 0.4
-
-
-def test_the_scene_is_one_of_the_built_in_ones():
-    assert load_scene("maze").name == "maze"
