@@ -4,7 +4,6 @@ import numpy as np
 
 from data_gen.geometry import Part, assemble
 from prt_bench.modular.cube import FACES, inward
-from prt_bench.modular.dictionary import FACE_OF_SIDE, SIDES
 from prt_bench.modular.level import STEPS, Level
 from prt_bench.points import SurfacePoints
 from prt_bench.scene import Camera, Material, Scene
@@ -21,11 +20,10 @@ NAMES = ("wall +x", "wall -x", "ceiling", "floor", "wall +z", "wall -z")
 def scene_of(level: Level, albedo: Colours = ((0.7, 0.7, 0.7),) * 6) -> Scene:
     """The faces of a level's blocks, fronts inward.
 
-    Block (i, j) is centred at (i, 0, j) · `EDGE`. A wall between two blocks takes half of its thickness from each.
+    A block's cell · `EDGE` is its centre. A wall between two blocks takes half of its thickness from each.
     """
     parts, between = [], _between(level)
     for block, face in level.surfaces():
-        column, row = level.cells[block]
         normal = inward(np.array([face]))[0]
         u, v = np.eye(3)[(face // 2 + 1) % 3], np.eye(3)[(face // 2 + 2) % 3]
         corners = np.array([a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]) - normal
@@ -33,11 +31,11 @@ def scene_of(level: Level, albedo: Colours = ((0.7, 0.7, 0.7),) * 6) -> Scene:
         if np.dot(np.cross(u, v), normal) < 0:
             order = order[:, ::-1]
         inset = 0.5 * WALL * normal if (block, face) in between else 0.0
-        parts.append(Part(EDGE * (np.array([column, 0.0, row]) + 0.5 * corners) + inset, order, face))
-    middle = EDGE * np.mean([(column, 0.0, row) for column, row in level.cells], axis=0)
-    far = EDGE * (2.0 + np.ptp(np.array(level.cells), axis=0).max())
-    x, z = float(middle[0]), float(middle[2])
-    camera = Camera((x, float(far), z + 0.1 * EDGE), (x, 0.0, z))
+        parts.append(Part(EDGE * (np.array(level.cells[block]) + 0.5 * corners) + inset, order, face))
+    cells = np.array(level.cells)
+    x, y, z = (EDGE * cells.mean(axis=0)).tolist()
+    far = EDGE * (2.0 + np.ptp(cells[:, [0, 2]], axis=0).max() + 0.5 * np.ptp(cells[:, 1]))
+    camera = Camera((x, y + float(far), z + 0.1 * EDGE), (x, y, z))
     materials = tuple(Material(name, colour) for name, colour in zip(NAMES, albedo, strict=True))
     return Scene(f"level-{len(level.cells)}", assemble(parts), materials, camera)
 
@@ -61,6 +59,6 @@ def _between(level: Level) -> set[tuple[int, int]]:
     found = set()
     for wall in level.walls:
         one, other = sorted(wall)
-        side = STEPS.index((other[0] - one[0], other[1] - one[1]))
-        found |= {(index[one], FACE_OF_SIDE[side]), (index[other], FACE_OF_SIDE[(side + 2) % SIDES])}
+        face = STEPS.index(tuple(int(step) for step in np.subtract(other, one)))
+        found |= {(index[one], face), (index[other], face ^ 1)}
     return found

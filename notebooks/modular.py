@@ -27,7 +27,7 @@ from data_gen.levels import EDGE, block_samples, scene_of
 from data_gen.tracer import Tracer
 from prt_bench.lights import emitters
 from prt_bench.modular.cube import FACES, one_bounce
-from prt_bench.modular.dictionary import FACE_OF_SIDE, KINDS, build
+from prt_bench.modular.dictionary import KINDS, build
 from prt_bench.modular.level import maze, transfer
 from prt_bench.modular.lightfield import Grid
 from prt_bench.modular.modes import direct_light, enriched, needed, reduced
@@ -65,7 +65,7 @@ assert needed(spectra["M, one bounce of that light"], 0.95) < 10 < needed(spectr
 # +x, −x, ceiling, floor, +z and −z; red is above zero, blue below. The missing sides are white.
 
 # %%
-corridor = reduced(SIDE, [FACE_OF_SIDE[side] for side in KINDS[2]], functions=12, prior=48, lights=48)
+corridor = reduced(SIDE, KINDS[2], functions=12, prior=48, lights=48)
 figure, axes = plt.subplots(4, FACES, figsize=(8, 5), layout="constrained")
 for row, function in zip(axes, corridor.basis.T, strict=False):
     top = np.abs(function).max()

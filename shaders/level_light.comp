@@ -19,10 +19,10 @@ void main() {
     if ((block.kind.z >> (s / (SAMPLES / 6u)) & 1) != 0) {
         uint column = uint(block.kind.x) * BASIS * SAMPLES + turned(block.kind.y, s);
         for (uint k = 0u; k < BASIS; ++k) sum += basis[column + k * SAMPLES] * coefficients[at * BASIS + k].rgb;
-        for (int side = 0; side < SIDES; ++side) {
-            if (block.doors[side] < 0) continue;
-            uint source = uint(block.doors[side]) * ARRIVING;
-            column = turned(side, s);
+        for (int face = 0; face < FACES; ++face) {
+            if (block.doors[face] < 0) continue;
+            uint source = uint(block.doors[face]) * ARRIVING;
+            column = turned(face, s);  // the rotation that takes +x to that face
             for (uint k = 0u; k < ARRIVING; ++k) sum += arriving[column + k * SAMPLES] * entered[source + k].rgb;
         }
     }

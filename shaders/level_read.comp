@@ -22,7 +22,7 @@ void main() {
     vec3 sum = vec3(0.0);
     for (uint first = 0u; first < SAMPLES; first += LANES) {
         if (first + lane < SAMPLES) {
-            uint here = gl_WorkGroupID.x * SAMPLES + turned((SIDES - block.kind.y) % SIDES, first + lane);
+            uint here = gl_WorkGroupID.x * SAMPLES + turned(block.kind.w, first + lane);
             radiosity[lane] = albedo[here].rgb * (measured[here].rgb + light[here].rgb);
         }
         barrier();

@@ -69,17 +69,19 @@ class Modular(Method):
         """
         return self._joined(ds) if self.level else self._one_box(ds)
 
-    def dictionary(self) -> Dictionary:
-        """The dictionary of levels for these settings, computed where it is not kept yet."""
+    def dictionary(self, dimension: int = 2) -> Dictionary:
+        """The dictionary of levels for these settings, computed where it is not kept yet; `dimension` as in `build`."""
         size = max(self.basis, 32)
-        return standard(side=self.side, functions=size, prior=2 * size, lights=self.lights)
+        more = {"dimension": dimension} if dimension > 2 else {}
+        return standard(side=self.side, functions=size, prior=2 * size, lights=self.lights, **more)
 
     def _joined(self, ds: LightingDataset) -> ClusteredModel:
         transport, path = ds.transport, Path(self.level)
         placed = Placed.load(path / f"{transport.scene.name}.toml" if path.is_dir() else path)
         area = float(transport.scene.mesh.areas.sum()) / len(transport.samples)
+        dictionary = self.dictionary(placed.level.dimension)
         basis, block, matrix = joined(
-            placed, self.dictionary(), ds.measurement_points, transport.samples, transport.receivers, area,
+            placed, dictionary, ds.measurement_points, transport.samples, transport.receivers, area,
             self.basis, self.ridge, transport.bounces, self.depth, fit_albedo(ds).shape[1],
         )  # fmt: skip
         weights = jnp.pad(jnp.asarray(matrix), ((0, 0), (0, 0), (0, 1)))

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from prt_bench.errors import SpecError
 from prt_bench.modular.cube import FACES
-from prt_bench.modular.level import STEPS, Level
+from prt_bench.modular.level import Level
 from prt_bench.points import Lightmap
 from prt_bench.scene import Mesh
 
@@ -68,11 +68,9 @@ class LevelAtlas:
 
     def _next(self, doors: list[dict[int, int]], block: int, face: int, along: int, step: int) -> int | None:
         """The block whose face of the same kind goes on from this one's, a step along u or v; None where none does."""
-        axis = (face // 2 + 1 + along) % 3
-        if step == 0 or axis == 1:
+        if step == 0:
             return None
-        side = STEPS.index((step, 0) if axis == 0 else (0, step))
-        after = doors[block].get(side)
+        after = doors[block].get(2 * ((face // 2 + 1 + along) % 3) + (step < 0))
         return after if (after, face) in self._tile else None
 
     def uv(
@@ -94,7 +92,7 @@ class LevelAtlas:
         """
         corners = mesh.triangles / edge
         block, face = self.level.located(corners.mean(axis=1), mesh.normals)
-        away = np.abs(corners[:, :, [0, 2]] - np.array(self.level.cells)[block][:, None]).max(axis=(1, 2))
+        away = np.abs(corners - np.array(self.level.cells)[block][:, None]).max(axis=(1, 2))
         if np.any(away > 0.5 + _BEYOND):
             triangle = int(np.argmax(away))
             raise SpecError(

@@ -152,13 +152,3 @@ def interpolation(origin: Float[np.ndarray, "n 3"], directions: Float[np.ndarray
     table = csr_array((weights.ravel(), columns.ravel(), start), shape=(count, FACES * side * side))
     table.sum_duplicates()
     return table
-
-
-@cache
-def quarter_turn(side: int) -> Int[np.ndarray, " n"]:
-    """p with x[p] the light of a cube that is turned by 90° about +y, from +x to −z, where x is that of the cube."""
-    position, _ = sample_points(side)
-    source = np.stack([-position[:, 2], position[:, 1], position[:, 0]], axis=1)  # of what comes to lie at `position`
-    axis, rows = np.argmax(np.abs(source), axis=1), np.arange(len(source))
-    u, v = (np.floor((source[rows, (axis + step) % 3] + 0.5) * side).astype(int) for step in (1, 2))
-    return (2 * axis + (source[rows, axis] < 0)) * side * side + v * side + u

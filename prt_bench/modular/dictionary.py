@@ -1,7 +1,8 @@
-"""The dictionary: reduced transfer of the six cubes of flat levels, and of what passes between them, as one file.
+"""The dictionary: reduced transfer of cubes with missing faces, and of what passes between them, as one file.
 
-Built once, for all scenes. Blocks have a floor and a ceiling; their four sides are there or missing, in six ways up to
-quarter turns. Matrices are computed in float64 and kept in float32.
+Built once, for all scenes. Faces of a cube are there or missing in ten ways up to rotation. One has no face, and nothing to
+keep: light only passes through it. In flat levels, where blocks have a floor and a ceiling, six of the others occur. Matrices
+are computed in float64 and kept in float32.
 """
 
 import json
@@ -17,34 +18,50 @@ from jaxtyping import Array, Float
 from safetensors.numpy import load_file, save_file
 
 from prt_bench.errors import FitError, SpecError
-from prt_bench.modular.cube import quarter_turn
-from prt_bench.modular.lightfield import WAYS, Grid, contracted, emission, propagation, response, spanning
-from prt_bench.modular.modes import factors, reduced
+from prt_bench.modular.cube import FACES
+from prt_bench.modular.lightfield import (
+    Grid,
+    contracted,
+    emission,
+    propagation,
+    response,
+    rolled,
+    rolling,
+    spanning,
+    ways_of,
+)
+from prt_bench.modular.modes import Modes, factors, reduced
+from prt_bench.modular.rotations import FACE, INVERSE, ROTATIONS, turns
 from prt_bench.progress import track
 from prt_bench.store import data_folder
 
-SIDES = 4
-"""Sides of a block: +x, −z, −x, +z. A quarter turn takes each to the next."""
-FACE_OF_SIDE = (0, 5, 1, 4)
-KINDS: tuple[tuple[int, ...], ...] = ((), (0,), (0, 2), (0, 1), (0, 1, 2), (0, 1, 2, 3))
-"""Missing sides of each entry."""
-VERSION = 2
+KINDS: tuple[tuple[int, ...], ...] = (
+    (), (0,), (0, 1), (0, 5), (0, 5, 1), (0, 5, 1, 4), (0, 5, 2), (0, 5, 1, 2), (0, 5, 1, 4, 2),
+)  # fmt: skip
+"""Missing faces of each entry; flat levels have the first six."""
+DOORS = [(kind, face) for kind, missing in enumerate(KINDS) for face in missing]
+"""(entry, face) of all missing faces."""
+_FLAT = 6
+VERSION = 3
 _LEAST_SIDE = 4
 
 
 class Dictionary(eqx.Module):
     """Reduced operators of all entries K, for B functions within a block, k of lightfields, R of what arrives.
 
-    `basis` [K, n, B], `read` [K, B, n] and `prior` [K, n, p] as in `modes.Modes`; `leave` [K, 4, k, B] from coefficients of a
-    block to the lightfield that leaves a missing side, 0 at sides that are there; `onwards` [3, k, k], `arrive` [R, k] and
-    `arriving` [n, R] as in `lightfield.Interface`, for light that enters through −x.
+    `basis` [K, n, B], `read` [K, B, n] and `prior` [K, n, p] as in `modes.Modes`; `leave` [D, k, B] from coefficients of a
+    block to the lightfield that leaves through each of `DOORS`, in the frame of that face. For light that enters through −x,
+    `onwards` [w, k, k] to that which leaves straight on, to the left and, in a flat dictionary, to the right; `arrive` [R, k]
+    and `arriving` [n, R] to irradiance on the samples, `arriving` orthonormal. In three dimensions `roll` [1, k, k] turns a
+    lightfield by a quarter about its direction, and is orthogonal; in a flat dictionary it is [0, k, k].
     """
 
     basis: Float[Array, "K n B"]
     read: Float[Array, "K B n"]
     prior: Float[Array, "K n p"]
-    leave: Float[Array, "K 4 k B"]
-    onwards: Float[Array, "3 k k"]
+    leave: Float[Array, "D k B"]
+    onwards: Float[Array, "w k k"]
+    roll: Float[Array, "r k k"]
     arrive: Float[Array, "R k"]
     arriving: Float[Array, "n R"]
 
@@ -52,6 +69,11 @@ class Dictionary(eqx.Module):
     def side(self) -> int:
         """Samples along an edge of a face."""
         return round((self.basis.shape[1] / 6) ** 0.5)
+
+    @property
+    def dimension(self) -> int:
+        """3 where light may go up and down, else 2."""
+        return 2 + len(self.roll)
 
     @property
     def bytes(self) -> int:
@@ -86,32 +108,30 @@ def build(
     grid: Grid | None = None,
     lightfields: int = 128,
     arriving: int = 32,
+    dimension: int = 2,
 ) -> Dictionary:
     """Compute the dictionary; `side`² samples a face, `functions` within a block, `lightfields` between them.
 
-    Raises `SpecError` for sizes that are too small. Not differentiable.
+    `dimension` is 2 for flat levels, 3 for light that goes up and down too. Raises `SpecError` for other dimensions, and for
+    sizes that are too small. Not differentiable.
     """
+    if dimension not in (2, 3):
+        raise SpecError(f"dimension of a dictionary of blocks is {dimension}, but must be 2 or 3")
     grid = grid or Grid()
     sizes = {"side": side, "functions": functions, "lights": lights, "lightfields": lightfields, "arriving": arriving}
     for name, value in {**sizes, "prior": prior}.items():
         least = {"side": _LEAST_SIDE, "prior": functions}.get(name, 1)
         if value < least:
             raise SpecError(f"{name} of a dictionary of blocks is {value}, but must be at least {least}")
-    leaves, turn = emission(side, grid), quarter_turn(side)
-    entries, fields, weighted, owners = [], [], [], []
-    for kind, missing in enumerate(track(KINDS, "blocks")):
-        modes = reduced(side, [FACE_OF_SIDE[each] for each in missing], functions, prior, lights)
-        entries.append(modes)
-        for each in missing:
-            fields.append(leaves @ _turned(modes.implicit, turn, -each))
-            weighted.append(fields[-1] * modes.decay[: fields[-1].shape[1]])  # as strong as the prior has them
-            owners.append((kind, each))
-    ways = [propagation(way, grid) for way in WAYS]
-    span = spanning(np.concatenate(weighted, axis=1), ways, lightfields)
-    leave = np.zeros((len(KINDS), SIDES, span.shape[1], functions))
-    for (kind, each), field in zip(owners, fields, strict=True):
-        leave[kind, each, :, : field.shape[1]] = span.T @ field
-    onwards = np.stack([contracted(span.T @ (way @ span)) for way in track(ways, "interfaces")])
+    kinds = KINDS if dimension == 3 else KINDS[:_FLAT]
+    entries = [reduced(side, missing, functions, prior, lights) for missing in track(kinds, "blocks")]
+    roll = rolling(grid) if dimension == 3 else None
+    ways = [propagation(way, grid) for way in ways_of(dimension)]
+    fields, weighted = _leaving(entries, side, grid)
+    span = spanning(np.concatenate(weighted, axis=1), ways, lightfields, roll)
+    leave = [_filled(span.T @ field, functions) for field in fields]
+    onwards = [contracted(span.T @ (way @ span)) for way in track(ways, "interfaces")]
+    rolls = np.zeros((0, *onwards[0].shape)) if roll is None else rolled(span, roll)[None]
     u, s, vt = factors(response(side, grid) @ span)
     rows = min(arriving, len(s))
     return Dictionary(
@@ -121,10 +141,21 @@ def build(
                 np.stack([_filled(modes.basis, functions) for modes in entries]),
                 np.stack([_filled(modes.read.T, functions).T for modes in entries]),
                 np.stack([_filled(modes.prior, prior) for modes in entries]),
-                leave, onwards, s[:rows, None] * vt[:rows], u[:, :rows],
+                np.stack(leave), np.stack(onwards), rolls, s[:rows, None] * vt[:rows], u[:, :rows],
             )
         )
     )  # fmt: skip
+
+
+def _leaving(entries: list[Modes], side: int, grid: Grid) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What leaves through each of `DOORS` by the functions of its entry, and that as strong as the prior has them."""
+    leaves, turned, fields, weighted = emission(side, grid), turns(side), [], []
+    for kind, face in DOORS:
+        if kind < len(entries):
+            implicit, decay = entries[kind].implicit, entries[kind].decay
+            fields.append(leaves @ implicit[turned[INVERSE[face]]])  # the face comes to lie at +x
+            weighted.append(fields[-1] * decay[: implicit.shape[1]])
+    return fields, weighted
 
 
 @cache
@@ -144,18 +175,16 @@ def _filled(columns: Float[np.ndarray, "n b"], count: int) -> Float[np.ndarray, 
     return np.pad(columns, ((0, 0), (0, count - columns.shape[1])))
 
 
-def _turned(light: np.ndarray, turn: np.ndarray, quarters: int) -> np.ndarray:
-    """Light of a block [n, …] after quarter turns."""
-    for _ in range(quarters % SIDES):
-        light = light[turn]
-    return light
-
-
 def entry_of(missing: Iterable[int]) -> tuple[int, int]:
-    """The entry that has these sides missing after so many quarter turns."""
+    """The entry that has these faces missing, and the rotation after which it has them.
+
+    Of a block without any face the entry says nothing, and is the first. Raises `SpecError` for what is no face.
+    """
     wanted = frozenset(missing)
-    for kind, sides in enumerate(KINDS):
-        for quarters in range(SIDES):
-            if frozenset((each + quarters) % SIDES for each in sides) == wanted:
-                return kind, quarters
-    raise SpecError(f"sides of a block are 0 to {SIDES - 1}, not {sorted(wanted)}")
+    if wanted == frozenset(range(FACES)):
+        return 0, 0
+    for kind, faces in enumerate(KINDS):
+        for pose in range(len(ROTATIONS)):
+            if frozenset(FACE[pose, list(faces)].tolist()) == wanted:
+                return kind, pose
+    raise SpecError(f"faces of a block are 0 to {FACES - 1}, not {sorted(wanted)}")

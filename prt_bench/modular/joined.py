@@ -118,7 +118,7 @@ def _operators(model: LevelTransfer) -> _Blocks:
     arrives = np.zeros((len(enters), rows, count * size))
     for to, source, pair in zip(*map(np.asarray, (model.pair_to, model.pair_from, model.pairs)), strict=True):
         arrives[to, :, source * size : (source + 1) * size] = pair
-    back = turns[np.asarray(model.quarters)]
+    back = turns[np.asarray(model.pose)]
     light = arriving[turns[np.asarray(model.along)]] * solid[enters][:, :, None]
     return _Blocks(
         np.stack([within[k][order] for k, order in zip(kind, back, strict=True)]) * solid[:, :, None],

@@ -18,25 +18,32 @@ from jaxtyping import Array, Float, Int
 from scipy.sparse import csr_array
 
 from prt_bench.errors import SpecError
-from prt_bench.modular.cube import FACES, Met, bilinear, quarter_turn, sample_points
-from prt_bench.modular.dictionary import FACE_OF_SIDE, SIDES, Dictionary, entry_of
+from prt_bench.modular.cube import FACES, Met, bilinear, sample_points
+from prt_bench.modular.dictionary import Dictionary, entry_of
+from prt_bench.modular.passages import Passages
+from prt_bench.modular.rotations import INVERSE, turns
 
-Cell = tuple[int, int]
-STEPS: tuple[Cell, ...] = ((1, 0), (0, -1), (-1, 0), (0, 1))
-"""Neighbours beyond the sides +x, −z, −x, +z, in columns and rows."""
+Cell = tuple[int, ...]
+STEPS: tuple[Cell, ...] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+"""Neighbours beyond each face, in columns, layers and rows."""
+_MAZE = (0, 5, 1, 4), (0, 5, 1, 4, 2, 3)
+"""Faces that a maze grows through, of one layer and of more; walls are looked for beyond the first of each opposite pair."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """Cells (column, row) of a flat grid that hold a block, and pairs of neighbours with a wall between them.
+    """Cells (column, layer, row) that hold a block, and pairs of neighbours with a wall between them.
 
-    Raises `SpecError` for no cell, a cell twice, and walls that are not between neighbouring blocks.
+    A pair (column, row) is a cell of layer 0. Raises `SpecError` for other cells, no cell, a cell twice, and walls that are not
+    between neighbouring blocks.
     """
 
     cells: tuple[Cell, ...]
     walls: frozenset[frozenset[Cell]] = frozenset()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "cells", tuple(map(_cell, self.cells)))
+        object.__setattr__(self, "walls", frozenset(frozenset(map(_cell, wall)) for wall in self.walls))
         if not self.cells or len(set(self.cells)) < len(self.cells):
             raise SpecError("a level needs at least one block, and each cell once")
         for wall in self.walls:
@@ -46,25 +53,29 @@ class Level:
 
     @property
     def open(self) -> list[dict[int, int]]:
-        """For every block the sides that are missing, and the block behind each."""
+        """For every block the faces that are missing, and the block behind each."""
         index = {cell: at for at, cell in enumerate(self.cells)}
         found = []
         for cell in self.cells:
-            beyond = {side: (cell[0] + step[0], cell[1] + step[1]) for side, step in enumerate(STEPS)}
+            beyond = {face: _beyond(cell, face) for face in range(FACES)}
             found.append(
                 {
-                    side: index[other]
-                    for side, other in beyond.items()
+                    face: index[other]
+                    for face, other in beyond.items()
                     if other in index and frozenset((cell, other)) not in self.walls
                 }
             )
         return found
 
+    @property
+    def dimension(self) -> int:
+        """Of the dictionary that it needs: 3 where light goes from layer to layer, else 2."""
+        return 3 if any({2, 3} & set(faces) for faces in self.open) else 2
+
     def points(self, side: int) -> tuple[Float[np.ndarray, "N n 3"], Float[np.ndarray, "n 3"]]:
-        """Positions of every block's samples, in edges of a block, and their normals. Block (i, j) is centred at (i, 0, j)."""
+        """Positions of every block's samples, in edges of a block, and their normals. A block's cell is its centre."""
         position, normal = sample_points(side)
-        middle = np.array([(column, 0.0, row) for column, row in self.cells])
-        return middle[:, None] + position, normal
+        return np.array(self.cells, float)[:, None] + position, normal
 
     def interpolation(
         self, position: Float[np.ndarray, "P 3"], normal: Float[np.ndarray, "P 3"], side: int
@@ -88,7 +99,7 @@ class Level:
         """
         index = {cell: at for at, cell in enumerate(self.cells)}
         within = position + 1e-3 * normal
-        cells = [(column, row) for column, row in np.round(within[:, [0, 2]]).astype(int).tolist()]
+        cells = [tuple(cell) for cell in np.round(within).astype(int).tolist()]
         lost = next((cell for cell in cells if cell not in index), None)
         if lost is not None:
             raise SpecError(f"a point lies in cell {lost}, where the level has no block")
@@ -99,48 +110,58 @@ class Level:
         self, position: Float[np.ndarray, "P 3"], block: Int[np.ndarray, " P"], face: Int[np.ndarray, " P"]
     ) -> Met:
         """Where points lie on faces of these blocks; beyond a face's edge, the nearest place on it."""
-        columns, rows = np.array(self.cells, float)[block].T
-        local = np.clip(position - np.stack([columns, np.zeros(len(block)), rows], axis=1) + 0.5, 0.0, 1.0)
+        local = np.clip(position - np.array(self.cells, float)[block] + 0.5, 0.0, 1.0)
         axis, points = face // 2, np.arange(len(block))
         return Met(face, local[points, (axis + 1) % 3], local[points, (axis + 2) % 3])
 
     def surfaces(self) -> list[tuple[int, int]]:
         """(block, face) of all faces that are there."""
-        missing = [{FACE_OF_SIDE[side] for side in sides} for sides in self.open]
-        return [(block, face) for block, gone in enumerate(missing) for face in range(FACES) if face not in gone]
+        return [(block, face) for block, gone in enumerate(self.open) for face in range(FACES) if face not in gone]
 
 
-def maze(blocks: int, seed: int = 0, loops: float = 0.15) -> Level:
+def _cell(given: Cell) -> Cell:
+    if len(given) not in (2, 3):
+        raise SpecError(f"a cell of a level is (column, layer, row), or (column, row) on layer 0, not {list(given)}")
+    return given if len(given) == 3 else (given[0], 0, given[1])
+
+
+def _beyond(cell: Cell, face: int) -> Cell:
+    return tuple(at + step for at, step in zip(cell, STEPS[face], strict=True))
+
+
+def maze(blocks: int, seed: int = 0, loops: float = 0.15, layers: int = 1) -> Level:
     """A random maze: a tree of blocks grown cell by cell, with a passage through a share `loops` of the walls between others.
 
-    Raises `SpecError` for fewer than one block.
+    Raises `SpecError` for fewer than one block or layer.
     """
-    if blocks < 1 or not 0 <= loops <= 1:
-        raise SpecError(f"a maze needs at least 1 block and a share of loops from 0 to 1, not {blocks} and {loops}")
+    if blocks < 1 or layers < 1 or not 0 <= loops <= 1:
+        raise SpecError(
+            "a maze needs at least 1 block and 1 layer, and a share of loops from 0 to 1, not"
+            f" {blocks}, {layers} and {loops}"
+        )
     random = np.random.default_rng(seed)
-    cells, passages = [(0, 0)], set()
+    cells, passages, ways = [(0, 0, 0)], set(), _MAZE[layers > 1]
     while len(cells) < blocks:
         cell = (
             cells[random.integers(max(0, len(cells) - 4), len(cells))]
             if random.random() < 0.8
             else cells[random.integers(len(cells))]
         )
-        step = STEPS[random.integers(SIDES)]
-        other = (cell[0] + step[0], cell[1] + step[1])
-        if other not in cells:
+        other = _beyond(cell, ways[random.integers(len(ways))])
+        if other not in cells and 0 <= other[1] < layers:
             passages.add(frozenset((cell, other)))
             cells.append(other)
     walls = set()
     for cell in cells:
-        for step in STEPS[:2]:
-            pair = frozenset((cell, (cell[0] + step[0], cell[1] + step[1])))
+        for face in (face for face in ways if face in (0, 5, 2)):
+            pair = frozenset((cell, _beyond(cell, face)))
             if len(pair & set(cells)) == 2 and pair not in passages and random.random() >= loops:
                 walls.add(pair)
     return Level(tuple(cells), frozenset(walls))
 
 
 def load_level(path: Path) -> Level:
-    """A level from TOML: `blocks` as pairs of column and row, and optional `walls` as pairs of those.
+    """A level from TOML: `blocks` as [column, layer, row] or [column, row], and optional `walls` as pairs of those.
 
     Raises `SpecError` where the file cannot be read as such.
     """
@@ -151,8 +172,8 @@ def read_level(path: Path, others: tuple[str, ...] = ()) -> tuple[Level, dict[st
     """A level from TOML as `load_level` has it, and all that the file says. `others` are keys that it may have besides."""
     try:
         read = tomllib.loads(path.read_text(encoding="utf-8"))
-        cells = tuple((int(column), int(row)) for column, row in read["blocks"])
-        walls = frozenset(frozenset((int(i), int(j)) for i, j in pair) for pair in read.get("walls", []))
+        cells = tuple(tuple(map(int, cell)) for cell in read["blocks"])
+        walls = frozenset(frozenset(tuple(map(int, cell)) for cell in pair) for pair in read.get("walls", []))
     except (OSError, KeyError, TypeError, ValueError) as reason:
         raise SpecError(f"{path} describes no level ({reason}); give `blocks = [[0, 0], [1, 0]]`") from reason
     unknown = set(read) - {"blocks", "walls", *others}
@@ -164,15 +185,15 @@ def read_level(path: Path, others: tuple[str, ...] = ()) -> tuple[Level, dict[st
 class LevelTransfer(eqx.Module):
     """Indirect light of a level from the radiosity of its blocks' samples; differentiable in that and in all matrices.
 
-    Blocks N, each the entry `kind` of the dictionary after `quarters` of a turn; `turns` [4, n] the samples after so many.
-    E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with the block that
-    each `enters`, and `along`, which of the four directions its light has.
+    Blocks N, each the entry `kind` of the dictionary in one of the 24 poses of `rotations`: `pose`, with the samples `turns`
+    [24, n] of each. E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with
+    the block that each `enters`, and `along`, the face towards which its light goes, which is the pose of what it lights.
     """
 
     dictionary: Dictionary
     kind: Int[Array, " N"]
-    quarters: Int[Array, " N"]
-    turns: Int[Array, "4 n"]
+    pose: Int[Array, " N"]
+    turns: Int[Array, "24 n"]
     pairs: Float[Array, "E R B"]
     pair_to: Int[Array, " E"]
     pair_from: Int[Array, " E"]
@@ -182,7 +203,7 @@ class LevelTransfer(eqx.Module):
 
     def coefficients(self, radiosity: Float[Array, "N n C"]) -> Float[Array, "N B C"]:
         """b of every block."""
-        turned = jnp.take_along_axis(radiosity, self.turns[-self.quarters % SIDES][:, :, None], axis=1)
+        turned = jnp.take_along_axis(radiosity, self.turns[jnp.asarray(INVERSE)[self.pose]][:, :, None], axis=1)
         return jnp.einsum("nbs,nsc->nbc", self.dictionary.read[self.kind], turned, precision="highest")
 
     def arriving(self, b: Float[Array, "N B C"]) -> Float[Array, "I R C"]:
@@ -193,7 +214,7 @@ class LevelTransfer(eqx.Module):
     def indirect(self, b: Float[Array, "N B C"], r: Float[Array, "I R C"]) -> Float[Array, "N n C"]:
         """Irradiance at every block's samples; 0 on missing faces."""
         own = jnp.einsum("nsb,nbc->nsc", self.dictionary.basis[self.kind], b, precision="highest")
-        own = jnp.take_along_axis(own, self.turns[self.quarters][:, :, None], axis=1)
+        own = jnp.take_along_axis(own, self.turns[self.pose][:, :, None], axis=1)
         entered = jnp.einsum("sr,irc->isc", self.dictionary.arriving, r, precision="highest")
         entered = jnp.take_along_axis(entered, self.turns[self.along][:, :, None], axis=1)
         return (own + jax.ops.segment_sum(entered, self.enters, len(self.kind))) * self.solid[:, :, None]
@@ -212,36 +233,34 @@ class LevelTransfer(eqx.Module):
 def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: float = 1e-3) -> LevelTransfer:
     """Carry every block's lightfields through up to `depth` interfaces, and set up the operators of the level.
 
-    Of the pairs of one source the weakest are left out, as many as together hold `tolerance`² of the squares of all.
+    Of the pairs of one source the weakest are left out, as many as together hold `tolerance`² of the squares of all. Raises
+    `SpecError` for a dictionary of flat levels where light goes up or down.
     """
     if depth < 1:
         raise SpecError(f"light in a level passes through at least 1 interface, not {depth}")
     if not 0 <= tolerance < 1:
         raise SpecError(f"the tolerance of a level's pairs is from 0 to below 1, not {tolerance}")
-    doors = level.open
-    entries = [entry_of(sides) for sides in doors]
-    turns = [np.arange(dictionary.basis.shape[1])]
-    for _ in range(SIDES - 1):
-        turns.append(turns[-1][quarter_turn(dictionary.side)])
-    leave, onwards, arrive = (np.asarray(part, np.float64) for part in (
-        dictionary.leave, dictionary.onwards, dictionary.arrive))  # fmt: skip
+    if level.dimension > dictionary.dimension:
+        raise SpecError(
+            "light goes up or down in a level whose dictionary is of flat levels; take one of `dimension=3`"
+        )
+    doors, passages = level.open, Passages(dictionary)
+    entries = [entry_of(faces) for faces in doors]
     interfaces: dict[tuple[int, int], int] = {}  # (block, direction of the light that enters it)
-    for sides in doors:
-        for side, other in sides.items():
-            interfaces[other, side] = len(interfaces)
+    for faces in doors:
+        for face, other in faces.items():
+            interfaces[other, face] = len(interfaces)
     to, from_, pairs = [], [], []
-    for source, sides in enumerate(doors):
-        kind, quarters = entries[source]
+    for source, faces in enumerate(doors):
         summed: dict[tuple[int, int], np.ndarray] = {}
-        front = {(other, side): leave[kind, (side - quarters) % SIDES] for side, other in sides.items()}
+        front = {(other, face): passages.leaving(*entries[source], face) for face, other in faces.items()}
         for _ in range(depth):
-            following: dict[tuple[int, int], np.ndarray] = defaultdict(lambda: np.zeros(leave.shape[2:]))
+            following: dict[tuple[int, int], np.ndarray] = defaultdict(float)
             for (block, along), light in front.items():
-                summed[block, along] = summed.get((block, along), 0.0) + arrive @ light
-                for way, quarter in zip(onwards, (0, 1, -1), strict=True):
-                    exit_ = (along + quarter) % SIDES
-                    if exit_ in doors[block]:
-                        following[doors[block][exit_], exit_] += way @ light
+                summed[block, along] = summed.get((block, along), 0.0) + passages.arrive @ light
+                for exit_, beyond in doors[block].items():
+                    if exit_ != along ^ 1:  # light does not come back through where it enters
+                        following[beyond, exit_] = following[beyond, exit_] + passages.onwards(along, exit_) @ light
             front = following
         squares = {key: float(np.sum(matrix**2)) for key, matrix in summed.items()}
         spare = tolerance**2 * sum(squares.values())
@@ -252,13 +271,13 @@ def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: fl
                 from_.append(source)
                 pairs.append(summed[key])
     order = np.argsort(np.array(to, int), kind="stable")
-    stacked = np.stack(pairs)[order] if pairs else np.zeros((0, arrive.shape[0], leave.shape[3]))
-    here = np.array([[face not in {FACE_OF_SIDE[side] for side in sides} for face in range(FACES)] for sides in doors])
+    stacked = np.stack(pairs)[order] if pairs else np.zeros((0, len(passages.arrive), dictionary.basis.shape[2]))
+    here = np.array([[face not in faces for face in range(FACES)] for faces in doors])
     return LevelTransfer(
         dictionary,
         jnp.array([kind for kind, _ in entries]),
-        jnp.array([quarters for _, quarters in entries]),
-        jnp.array(turns),
+        jnp.array([pose for _, pose in entries]),
+        jnp.array(turns(dictionary.side)),
         jnp.asarray(stacked, jnp.float32),
         jnp.array(np.array(to, int)[order], jnp.int32),
         jnp.array(np.array(from_, int)[order], jnp.int32),

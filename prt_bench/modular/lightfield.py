@@ -3,28 +3,26 @@
 A lightfield is radiance at `places`² points of a square interface and `turns`² directions through it. Directions are the
 middles of equal parts of the unit disk under the hemisphere (cos θ = √(1 − r²)), so every entry carries the same share of
 the flux, and the plain inner product is that of energy. Coordinates on an interface are to the right and up, seen along the
-light, with +y up; canonical light leaves through +x, or enters through −x and goes on along +x. Propagation within a block is
-then straight, left or right. Levels are flat: light that goes up or down meets a surface.
+light, in the frame of its direction (`rotations`), with +y up where light is level; canonical light leaves through +x, or
+enters through −x and goes on along +x. Propagation within a block is then straight, left or right in flat levels. In three
+dimensions it is also up and down, and all but straight are the left one between rolls about the direction.
 """
 
-from typing import Literal, NamedTuple, get_args
+from functools import partial
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 
 from prt_bench.linalg import leading_basis
 from prt_bench.modular.cube import Met, bilinear, cosine_rays, disk, interpolation, meet, sample_points, square
 from prt_bench.modular.modes import factors
+from prt_bench.modular.rotations import ROTATIONS
 
-Way = Literal["straight", "left", "right"]
-WAYS: tuple[Way, ...] = get_args(Way)
-_FRAMES: dict[Way, np.ndarray] = {  # rows: right, up, along
-    "straight": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
-    "left": np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]),
-    "right": np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-}
+EXITS = {"straight": 0, "left": 5, "right": 4}
+"""The faces that light along +x leaves through."""
 _ENTRANCE = 1  # the face −x
 _FINE = 3  # directions across each part of the disk
 
@@ -41,16 +39,9 @@ class Grid(NamedTuple):
         return self.places**2 * self.turns**2
 
 
-class Interface(NamedTuple):
-    """What passes through interfaces, for lightfields in k numbers h with ‖h‖ ≤ that of the lightfield.
-
-    `onwards` [3, k, k] from the entrance to the exits straight, left and right; `read` [R, k] and `basis` [n, R] from the
-    entrance to irradiance on the block's samples, the basis orthonormal.
-    """
-
-    onwards: Float[np.ndarray, "3 k k"]
-    read: Float[np.ndarray, "R k"]
-    basis: Float[np.ndarray, "n R"]
+def ways_of(dimension: int) -> tuple[str, ...]:
+    """Of `EXITS`, those that are kept: in three dimensions right is left between rolls."""
+    return tuple(EXITS)[: 5 - dimension]
 
 
 def emission(side: int, grid: Grid) -> csr_array:
@@ -59,8 +50,8 @@ def emission(side: int, grid: Grid) -> csr_array:
     return interpolation(origin, -direction, side) / (np.pi * direction.shape[1])
 
 
-def propagation(way: Way, grid: Grid) -> csr_array:
-    """From a lightfield that enters through −x to that which leaves on one of the three ways, unless it meets a face."""
+def propagation(way: str, grid: Grid) -> csr_array:
+    """From a lightfield that enters through −x to that which leaves by one of `EXITS`, unless it meets a face."""
     origin, direction = _leaving(way, grid)
     rays = direction.shape[1]
     met = meet(np.repeat(origin, rays, axis=0), -direction.reshape(-1, 3))
@@ -81,9 +72,21 @@ def response(side: int, grid: Grid, across: int = 64) -> csr_array:
     return csr_array(vstack(parts)) * (np.pi / rays)
 
 
-def _leaving(way: Way, grid: Grid) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s R 3"]]:
+def rolling(grid: Grid) -> Int[np.ndarray, " s"]:
+    """p with h[p] a lightfield after a quarter turn about its direction, from up to the right."""
+    number = np.arange(grid.size).reshape(grid.places, grid.places, grid.turns, grid.turns)
+    return number[:, ::-1, :, ::-1].transpose(1, 0, 3, 2).ravel()  # up and right of the place, then of the direction
+
+
+def _frame(exit_: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """To the right, up and along, for light that leaves through a face."""
+    along, up, right = ROTATIONS[exit_].T.astype(float)
+    return right, up, along
+
+
+def _leaving(way: str, grid: Grid) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s R 3"]]:
     """Places of a lightfield that leaves a block, and `_FINE`² directions for each."""
-    right, up, along = _FRAMES[way]
+    right, up, along = _frame(EXITS[way])
     middles = (np.arange(grid.places) + 0.5) / grid.places - 0.5
     t, s = (part.reshape(-1, 1) for part in np.meshgrid(middles, middles, indexing="ij"))
     origin = 0.5 * along + s * right + t * up
@@ -98,7 +101,7 @@ def _leaving(way: Way, grid: Grid) -> tuple[Float[np.ndarray, "s 3"], Float[np.n
 def _looked_up(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray, grid: Grid, rows: int) -> csr_array:
     """Interpolation in the lightfield at the entrance for rays that meet it, summed over the rays of each row."""
     through = np.flatnonzero(met.face == _ENTRANCE)
-    right, up, _ = _FRAMES["straight"]
+    right, up, _ = _frame(EXITS["straight"])
     # Fractions of face −x are along y and z, which are up and right.
     where = Met(np.zeros(len(through), int), met.v[through], met.u[through])
     towards = direction[through]
@@ -113,18 +116,47 @@ def _looked_up(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray,
     return table
 
 
-def spanning(lightfields: Float[np.ndarray, "s m"], ways: list[csr_array], count: int, rounds: int = 3) -> np.ndarray:
+def spanning(
+    lightfields: Float[np.ndarray, "s m"],
+    ways: list[csr_array],
+    count: int,
+    roll: Int[np.ndarray, " s"] | None = None,
+    rounds: int = 3,
+) -> Float[np.ndarray, "s k"]:
     """H [s, k]: an orthonormal basis of lightfields that leave blocks, and of what `rounds` steps through blocks make of them.
 
     After each step what it gives is scaled to the norm of the basis before it, put beside it, and the leading vectors of both
-    are kept.
+    are kept. With `roll`, which is `rolling`, these are of all four rolls of the lightfields, and so is their span.
     """
-    found = _leading(lightfields / np.linalg.norm(lightfields), count)
+    keep = _leading if roll is None else partial(_closed, roll=roll)
+    found = lightfields / np.linalg.norm(lightfields)
+    found = keep(found if roll is None else _leading(found, 2 * count), count)
     for _ in range(rounds):
         moved = np.concatenate([way @ found for way in ways], axis=1)
-        found = _leading(np.concatenate([found / np.linalg.norm(found), moved / np.linalg.norm(moved)], axis=1), count)
+        found = keep(np.concatenate([found / np.linalg.norm(found), moved / np.linalg.norm(moved)], axis=1), count)
     size = np.linalg.norm(found, axis=0)
     return found[:, size > 0] / size[size > 0]
+
+
+def rolled(span: Float[np.ndarray, "s k"], roll: Int[np.ndarray, " s"]) -> Float[np.ndarray, "k k"]:
+    """The orthogonal matrix of a roll within a span that is closed under it."""
+    u, _, vt = factors(span.T @ span[roll])
+    return u @ vt
+
+
+def _closed(columns: np.ndarray, count: int, roll: np.ndarray) -> np.ndarray:
+    """Leading vectors, times singular values, of the columns and their rolls; if one is kept, so are its rolls.
+
+    After half a turn light is the same or its opposite, or a sum of both, which are orthogonal. Of the latter, a vector and
+    its roll have the same singular value.
+    """
+    half = columns[roll][roll]
+    parts = []
+    for part in (columns + half, columns - half):
+        parts.append(_leading(np.concatenate([part, part[roll]], axis=1), count))
+    sizes = [np.linalg.norm(part, axis=0) for part in parts]
+    odd = int(np.sum(np.argsort(-np.concatenate(sizes))[:count] >= len(sizes[0]))) // 2 * 2
+    return np.concatenate([parts[0][:, : count - odd], parts[1][:, :odd]], axis=1)
 
 
 def _leading(columns: np.ndarray, count: int) -> np.ndarray:

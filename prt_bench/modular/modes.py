@@ -112,17 +112,19 @@ def reduced(side: int, missing: Sequence[int], functions: int = 32, prior: int =
     """The modes of a cube without the faces `missing`.
 
     The prior is enriched by functions that are constant on one face, and by the indirect light of the prior without it, so
-    that surfaces of unlike albedo and further bounces lie in its span.
+    that surfaces of unlike albedo and further bounces lie in its span. A face by itself sends no light to itself: its modes are
+    those of what it sends out through the missing faces, on which their basis lies.
     """
     here = present(side, missing)
-    transport = one_bounce(side) * here[:, None] * here
+    alone = len(set(missing)) == FACES - 1
+    transport = one_bounce(side) * (~here if alone else here)[:, None] * here
     light = direct_light(side, missing, lights)
     constants = (np.repeat(np.eye(FACES), side * side, axis=0) * here[:, None])[
         :, np.setdiff1d(np.arange(FACES), missing)
     ]
     first = _modes(transport, *enriched([light], prior), functions)
     bounced = first.basis * first.decay[: first.basis.shape[1]]
-    return _modes(transport, *enriched([light, constants, bounced], prior), functions)
+    return _modes(transport, *enriched([light, constants, bounced * here[:, None]], prior), functions)
 
 
 def _modes(transport: np.ndarray, basis: np.ndarray, weights: np.ndarray, functions: int) -> Modes:

@@ -18,7 +18,7 @@ _INWARD = 1e-3  # of a block's size, along the normal: where a point on a wall b
 
 @dataclass(frozen=True)
 class Placed:
-    """A level whose block (i, j) reaches from `x[i]` to `x[i + 1]`, from `z[j]` to `z[j + 1]`, and up from `y[0]` to `y[1]`.
+    """A level whose block (i, j, k) reaches from `x[i]` to `x[i + 1]`, from `y[j]` up to `y[j + 1]`, from `z[k]` to `z[k + 1]`.
 
     Raises `SpecError` for places that do not rise, and for blocks that lie beyond them.
     """
@@ -33,13 +33,12 @@ class Placed:
             places = getattr(self, name)
             if len(places) < 2 or not np.all(np.isfinite(places)) or np.any(np.diff(places) <= 0):
                 raise SpecError(f"`{name}` of a level must be two or more rising places in metres, not {list(places)}")
-        if len(self.y) != 2:
-            raise SpecError(f"`y` of a level is the height of floor and ceiling, two numbers, not {list(self.y)}")
-        for column, row in self.level.cells:
-            if not (0 <= column < len(self.x) - 1 and 0 <= row < len(self.z) - 1):
+        columns, layers, rows = counts = [len(places) - 1 for places in self._places]
+        for cell in self.level.cells:
+            if not all(0 <= at < count for at, count in zip(cell, counts, strict=True)):
                 raise SpecError(
-                    f"block [{column}, {row}] of a level lies beyond its {len(self.x) - 1} columns and {len(self.z) - 1}"
-                    " rows; give more places in `x` or `z`, or leave it out"
+                    f"block {list(cell)} of a level lies beyond its {columns} columns, {layers} layers and {rows} rows;"
+                    " give more places in `x`, `y` or `z`, or leave it out"
                 )
 
     @classmethod
@@ -56,13 +55,18 @@ class Placed:
         except (TypeError, ValueError) as reason:
             raise SpecError(f"{path}: {', '.join(AXES)} are lists of numbers in metres ({reason})") from reason
 
+    @property
+    def _places(self) -> tuple[tuple[float, ...], ...]:
+        return self.x, self.y, self.z
+
     @cached_property
     def boxes(self) -> list[Box]:
         """Where each block is."""
         found = []
-        for column, row in self.level.cells:
-            low = np.array([self.x[column], self.y[0], self.z[row]])
-            high = np.array([self.x[column + 1], self.y[1], self.z[row + 1]])
+        for cell in self.level.cells:
+            low, high = (
+                np.array([places[at + end] for places, at in zip(self._places, cell, strict=True)]) for end in (0, 1)
+            )
             found.append(Box(low, high - low))
         return found
 
@@ -72,17 +76,17 @@ class Placed:
         Points beyond the outer places count for the block next to them. Raises `FitError` for a point where no block is.
         """
         at = []
-        for places, axis in ((self.x, 0), (self.z, 2)):
+        for axis, places in enumerate(self._places):
             size = np.min(np.diff(places))
             where = points.position[:, axis] + _INWARD * size * points.normal[:, axis]
             at.append(np.clip(np.searchsorted(places, where, side="right") - 1, 0, len(places) - 2))
-        table = np.full((len(self.x) - 1, len(self.z) - 1), -1)
+        table = np.full([len(places) - 1 for places in self._places], -1)
         table[tuple(np.array(self.level.cells).T)] = np.arange(len(self.level.cells))
-        found = table[at[0], at[1]]
+        found = table[tuple(at)]
         if np.any(found < 0):
             lost = int(np.argmax(found < 0))
             raise FitError(
                 f"the point ({', '.join(f'{each:.3g}' for each in points.position[lost])}) lies in cell"
-                f" [{at[0][lost]}, {at[1][lost]}], where the level has no block; add it to the level's `blocks`"
+                f" {[int(each[lost]) for each in at]}, where the level has no block; add it to the level's `blocks`"
             )
         return found

@@ -1,6 +1,6 @@
 """A level's operator made ready for frames on one core: what `LevelTransfer` multiplies, turned and sorted once.
 
-Blocks that have the same sides missing have the same matrices once these are turned, so a group of them is one product. What
+Blocks that have the same faces missing have the same matrices once these are turned, so a group of them is one product. What
 enters in the same direction is another. Light is channel by channel, and nothing is allocated in a frame.
 """
 
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from prt_bench.modular.dictionary import SIDES
 from prt_bench.modular.level import LevelTransfer
+from prt_bench.modular.rotations import ROTATIONS
 
 
 class _Faces(NamedTuple):
@@ -23,7 +23,7 @@ class _Faces(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Blocks with the same sides missing: their faces, and their b as rows."""
+    """Blocks with the same faces missing: their faces, and their b as rows."""
 
     blocks: slice
     faces: list[_Faces]
@@ -50,28 +50,29 @@ class PreparedLevel:
     def __init__(self, transfer: LevelTransfer, channels: int = 3) -> None:
         dictionary = transfer.dictionary
         read, basis, response = (np.asarray(part) for part in (dictionary.read, dictionary.basis, dictionary.arriving))
-        kind, quarters, turns = (np.asarray(part) for part in (transfer.kind, transfer.quarters, transfer.turns))
+        kind, pose, turns = (np.asarray(part) for part in (transfer.kind, transfer.pose, transfer.turns))
         along, solid = np.asarray(transfer.along), np.asarray(transfer.solid)
         samples = basis.shape[1]
         shapes = (len(kind), basis.shape[2]), (len(along), response.shape[1]), (len(kind), samples)
         self.b, self.r, self.light = (np.zeros((rows, channels, columns), np.float32) for rows, columns in shapes)
         self._radiosity = np.zeros_like(self.light)
 
-        self.order = np.lexsort((quarters, kind))
+        self.order = np.lexsort((pose, kind))
         place = np.argsort(self.order)
         self._groups = []
-        for first, blocks in _runs(kind[self.order] * SIDES + quarters[self.order]):
+        for first, blocks in _runs(kind[self.order] * len(ROTATIONS) + pose[self.order]):
             one = self.order[first]
-            turned = np.empty_like(read[kind[one]])
-            turned[:, turns[-quarters[one] % SIDES]] = read[kind[one]]
-            shown, light = basis[kind[one]][turns[quarters[one]]], self.light[blocks].reshape(-1, samples)
+            order = turns[pose[one]]
+            turned, shown = read[kind[one]][:, order], basis[kind[one]][order]
+            light = self.light[blocks].reshape(-1, samples)
             faces = [
                 _Faces(
                     part, np.ascontiguousarray(turned[:, part].T), np.ascontiguousarray(shown[part].T), light[:, part]
                 )
                 for part in _there(solid[one])
             ]
-            self._groups.append(_Group(blocks, faces, self.b[blocks].reshape(-1, basis.shape[2])))
+            if faces:
+                self._groups.append(_Group(blocks, faces, self.b[blocks].reshape(-1, basis.shape[2])))
 
         interfaces = np.argsort(along, kind="stable")
         behind = np.asarray(transfer.enters)[interfaces]

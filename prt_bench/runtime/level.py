@@ -14,8 +14,8 @@ from prt_bench.errors import AssetError
 from prt_bench.lights import Lighting
 from prt_bench.modular.atlas import LevelAtlas
 from prt_bench.modular.cube import FACES
-from prt_bench.modular.dictionary import SIDES
 from prt_bench.modular.level import LevelTransfer
+from prt_bench.modular.rotations import INVERSE
 from prt_bench.points import SurfacePoints
 from prt_bench.runtime import shaders
 from prt_bench.runtime.context import check, headless
@@ -29,6 +29,7 @@ from prt_bench.scene import Camera, Scene
 
 _LANES = 256  # of a workgroup that sums
 _WORKGROUP = 64
+_BLOCK = 12  # integers of a block: what it is, and six doors with room for two more, as `level.glsl` has them
 
 
 class LevelRuntime:
@@ -85,12 +86,14 @@ class LevelRuntime:
         samples, basis = dictionary.basis.shape[1:]
         arriving = dictionary.arrive.shape[0]
         self._interfaces = len(transfer.enters)
-        doors = np.full((self._blocks, SIDES), -1)
-        doors[np.asarray(transfer.enters), np.asarray(transfer.along)] = np.arange(self._interfaces)
-        faces = np.asarray(transfer.solid).reshape(self._blocks, FACES, -1)[:, :, 0] > 0
-        rows = np.zeros((self._blocks, 2, SIDES), "<i4")
-        rows[:, 0, 0], rows[:, 0, 1] = np.asarray(transfer.kind), np.asarray(transfer.quarters)
-        rows[:, 0, 2], rows[:, 1] = faces @ (1 << np.arange(FACES)), doors
+        faces, pose = (
+            np.asarray(transfer.solid).reshape(self._blocks, FACES, -1)[:, :, 0] > 0,
+            np.asarray(transfer.pose),
+        )
+        bits = faces @ (1 << np.arange(FACES))
+        rows = np.full((self._blocks, _BLOCK), -1)
+        rows[:, :4] = np.stack([np.asarray(transfer.kind), pose, bits, INVERSE[pose]], axis=1)
+        rows[np.asarray(transfer.enters), 4 + np.asarray(transfer.along)] = np.arange(self._interfaces)
         starts = np.searchsorted(np.asarray(transfer.pair_to), np.arange(self._interfaces + 1))
         self._block_rows, self._turns = self._whole(rows), self._whole(transfer.turns)
         self._pair_from, self._starts = self._whole(transfer.pair_from), self._whole(starts)

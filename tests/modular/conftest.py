@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from prt_bench.modular.cube import FACES
-from prt_bench.modular.dictionary import KINDS, SIDES, Dictionary, build
+from prt_bench.modular.dictionary import DOORS, KINDS, Dictionary, build
 from prt_bench.modular.lightfield import Grid
 
 SIDE, GRID = 8, Grid(8, 14)
@@ -17,6 +17,12 @@ def dictionary() -> Dictionary:
 
 
 @pytest.fixture(scope="session")
+def spatial() -> Dictionary:
+    """For levels of several layers."""
+    return build(SIDE, functions=24, prior=40, lights=40, grid=GRID, lightfields=80, arriving=24, dimension=3)
+
+
+@pytest.fixture(scope="session")
 def any_dictionary() -> Dictionary:
     """Sizes all differ, so that none can stand for another."""
     random, n = np.random.default_rng(0), FACES * SIDE**2
@@ -24,8 +30,9 @@ def any_dictionary() -> Dictionary:
         (len(KINDS), n, 20),
         (len(KINDS), 20, n),
         (len(KINDS), n, 30),
-        (len(KINDS), SIDES, 14, 20),
-        (3, 14, 14),
+        (len(DOORS), 14, 20),
+        (2, 14, 14),
+        (1, 14, 14),
         (12, 14),
         (n, 12),
     )

@@ -7,7 +7,6 @@ from scipy.interpolate import RegularGridInterpolator
 from data_gen.levels import EDGE, scene_of
 from prt_bench.errors import SpecError
 from prt_bench.modular.atlas import LevelAtlas
-from prt_bench.modular.dictionary import FACE_OF_SIDE
 from prt_bench.modular.level import Level, maze
 from prt_bench.scene import Mesh
 
@@ -64,8 +63,11 @@ def test_a_lookup_is_that_of_the_joined_surface_from_both_sides(cells, face, axe
     found = lookup(image, atlas.uv(places, block, faces))
     np.testing.assert_allclose(found, wanted(places[:, axes]), atol=1e-12)
     places[:, 0] = 0.5  # the seam itself, shown by the tile of either block
-    sides = [block, np.array([atlas.level.cells.index((1 - level.cells[at][0], level.cells[at][1])) for at in block])]
-    left, right = (lookup(image, atlas.uv(places, at, faces)) for at in sides)
+    across = [
+        block,
+        np.array([level.cells.index((1 - column, 0, row)) for column, _, row in np.array(level.cells)[block]]),
+    ]
+    left, right = (lookup(image, atlas.uv(places, at, faces)) for at in across)
     np.testing.assert_allclose(left, right, atol=1e-12)
     np.testing.assert_allclose(left, wanted(places[:, axes]), atol=1e-12)
 
@@ -87,16 +89,16 @@ def test_tiles_of_a_maze_agree_along_all_their_seams():
     atlas, _, image = lit(level)
     tiles, seams = set(level.surfaces()), 0
     for block, doors in enumerate(level.open):
-        for side, step in ((0, (0.5, 0.0)), (3, (0.0, 0.5))):
+        for beyond, step in ((0, (0.5, 0.0)), (4, (0.0, 0.5))):
             for face in (2, FLOOR):
-                other = doors.get(side)
+                other = doors.get(beyond)
                 if other is None:
                     continue
                 seams += 1
-                column, row = level.cells[block]
+                column, _, row = level.cells[block]
                 along = np.linspace(-0.5 + 0.5 / SIDE, 0.5 - 0.5 / SIDE, 7)
                 place = np.tile((column + step[0], 0.5 if face == 2 else -0.5, row + step[1]), (7, 1))
-                place[:, 2 if side == 0 else 0] += along
+                place[:, 2 if beyond == 0 else 0] += along
                 one, two = (lookup(image, atlas.uv(place, np.full(7, at), np.full(7, face))) for at in (block, other))
                 np.testing.assert_allclose(one, two, atol=1e-12)
     assert seams > 40
@@ -120,6 +122,6 @@ def test_the_mesh_of_a_level_lies_in_its_tiles():
     wide = np.array([(-0.4, -0.5, -0.4), (0.4, -0.5, 1.4), (1.4, -0.5, -0.4)])
     with pytest.raises(SpecError, match="beyond its block"):
         LevelAtlas(Level(SQUARE), SIDE).lightmap(Mesh(wide, np.array([[0, 1, 2]]), np.zeros(1, int)), 1.0)
-    gone = np.array([FACE_OF_SIDE[next(iter(level.open[0]))]])
+    gone = np.array([next(iter(level.open[0]))])
     with pytest.raises(SpecError, match="missing"):
         atlas.uv(np.zeros((1, 3)), np.array([0]), gone)

@@ -13,8 +13,6 @@ from prt_bench.modular.cube import (
     meet,
     one_bounce,
     place,
-    quarter_turn,
-    sample_points,
 )
 from prt_bench.modular.cube import square as to_square
 from prt_bench.modular.modes import direct_light, enriched, present, reduced
@@ -73,18 +71,6 @@ def test_the_square_and_the_disk_are_maps_of_each_other():
     assert np.hypot(x, y).max() <= 1.0
     np.testing.assert_allclose(to_square(x, y), (a, b), atol=1e-12)
     assert np.mean(np.hypot(x, y) < 0.5) == pytest.approx(0.25, abs=0.03)  # areas in proportion
-
-
-def test_four_quarter_turns_are_none_and_each_takes_positions_along():
-    turn = quarter_turn(SIDE)
-    position, normal = sample_points(SIDE)
-    for vectors in (position, normal):
-        turned = np.stack([vectors[:, 2], vectors[:, 1], -vectors[:, 0]], axis=1)
-        np.testing.assert_allclose(turned[turn], vectors, atol=1e-15)
-    np.testing.assert_array_equal(turn[turn][turn][turn], np.arange(len(turn)))
-    light = direct_light(SIDE, (), 5)
-    once = one_bounce(SIDE) @ light
-    np.testing.assert_allclose(one_bounce(SIDE) @ light[turn], once[turn], rtol=0.02)
 
 
 @pytest.mark.parametrize("missing", [(), (0,), (0, 1, 4, 5)])

@@ -28,7 +28,7 @@ RNG = np.random.default_rng(3)
 def on_blocks(placed, side, albedo):
     """The samples of all blocks, where the placed level has them."""
     position, normal = placed.level.points(side)
-    middle = np.array([(column, 0.0, row) for column, row in placed.level.cells])[:, None]
+    middle = np.array(placed.level.cells)[:, None]
     place = (
         np.stack([box.low for box in placed.boxes])[:, None]
         + (position - middle + 0.5) * np.stack([box.extent for box in placed.boxes])[:, None]
@@ -49,7 +49,7 @@ def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bou
     points = on_blocks(placed, side, albedo)
     area = sum(box.areas.sum() for box in placed.boxes) / len(points)
     likely = np.take_along_axis(
-        np.asarray(dictionary.prior)[model.kind], np.asarray(model.turns)[model.quarters][:, :, None], axis=1
+        np.asarray(dictionary.prior)[model.kind], np.asarray(model.turns)[model.pose][:, :, None], axis=1
     )
     radiosity = np.einsum("nsp,npc->nsc", likely, RNG.normal(size=(3, likely.shape[2], 3)))
     direct = radiosity / albedo
@@ -71,14 +71,14 @@ def test_points_on_a_wall_belong_to_the_block_they_face():
     points = SurfacePoints(position, normal, np.ones((4, 3)), np.zeros(4, int), np.full((4, 3), 1.0 / 3.0))
     assert placed.owner(points).tolist() == [0, 1, 2, 0]
     points = replace(points, position=position - np.array([2.5, 0.0, -1.5]))
-    with pytest.raises(FitError, match=r"lies in cell \[0, 1\], where the level has no block"):
+    with pytest.raises(FitError, match=r"lies in cell \[0, 0, 1\], where the level has no block"):
         placed.owner(points)
 
 
 def test_the_file_of_the_maze_is_the_maze():
     placed, level = Placed.load(LEVELS / "maze.toml"), maze(BLOCKS, SEED)
-    for box, (column, row) in zip(placed.boxes, level.cells, strict=True):
-        np.testing.assert_allclose(box.low + 0.5 * box.extent, (EDGE * column, 0.0, EDGE * row))
+    for box, cell in zip(placed.boxes, level.cells, strict=True):
+        np.testing.assert_allclose(box.low + 0.5 * box.extent, EDGE * np.array(cell))
     assert placed.level.open == level.open
     assert np.all(placed.owner(on_blocks(placed, 4, np.ones((BLOCKS, 96, 3)))) == np.repeat(np.arange(BLOCKS), 96))
 
@@ -88,8 +88,8 @@ def test_the_file_of_the_maze_is_the_maze():
     [
         ("blocks = [[0, 0]]", "add x, y, z in metres"),
         ("blocks = [[0, 0]]\nx = [0, 1]\ny = [1, 0]\nz = [0, 1]", "`y` of a level must be two or more rising places"),
-        ("blocks = [[1, 0]]\nx = [0, 1]\ny = [0, 1]\nz = [0, 1]", r"block \[1, 0\] of a level lies beyond"),
-        ("blocks = [[0, 0]]\nx = [0, 1]\ny = [0, 1, 2]\nz = [0, 1]", "height of floor and ceiling"),
+        ("blocks = [[1, 0]]\nx = [0, 1]\ny = [0, 1]\nz = [0, 1]", r"block \[1, 0, 0\] of a level lies beyond"),
+        ("blocks = [[0, 2, 0]]\nx = [0, 1]\ny = [0, 1, 2]\nz = [0, 1]", "2 layers and 1 rows"),
         ("blocks = [[0, 0]]\nx = [0, 'a']\ny = [0, 1]\nz = [0, 1]", "lists of numbers in metres"),
         ("blocks = [[0, 0]]\nlines = 3", "unknown keys"),
     ],

@@ -65,14 +65,14 @@ def test_a_frame_shows_the_floor_on_both_sides_of_a_seam_and_on_it(level, loaded
     _, _, runtime = loaded
     _, light = runtime.solve(LIGHT, 2)
     side, other = next(iter(level.open[0].items()))
-    step = np.array(level.cells[other]) - level.cells[0]
+    step = np.delete(np.array(level.cells[other]) - level.cells[0], 1)
     table = light.reshape(len(level.cells), 6, SIDE, SIDE, 3)[:, 3]  # the floor: along x, then z
     middle = [SIDE // 2 - 1, SIDE // 2]
     ends = [middle if at == 0 else [SIDE - 1 if at > 0 else 0] for at in step]
     starts = [middle if at == 0 else [0 if at > 0 else SIDE - 1] for at in step]
     edges = 0.5 * (table[0][np.ix_(*ends)].mean((0, 1)) + table[other][np.ix_(*starts)].mean((0, 1)))
     for share, wanted in ((0.0, table[0][np.ix_(middle, middle)].mean((0, 1))), (0.5, edges)):
-        x, z = EDGE * (np.array(level.cells[0]) + share * step)
+        x, z = EDGE * (np.delete(level.cells[0], 1) + share * step)
         runtime.look_from(Camera((x, 0.3, z), (x, -1.0, z), up=(0.0, 0.0, 1.0), fov_y=2.0))
         found = runtime.frame(LIGHT, 2, direct=False)[31:33, 31:33].mean((0, 1))
         np.testing.assert_allclose(found, np.array(ALBEDO[3]) / np.pi * wanted, rtol=0.01), side
