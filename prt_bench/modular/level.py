@@ -5,7 +5,6 @@ through interfaces to a depth, and summed for each block and interface it enters
 """
 
 import tomllib
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -230,6 +229,25 @@ class LevelTransfer(eqx.Module):
         return light
 
 
+Entering = dict[tuple[int, int], Float[np.ndarray, "_ B"]]
+"""What enters each block along each direction, from b of one source."""
+
+
+def _carried(front: Entering, doors: list[dict[int, int]], passages: Passages, depth: int) -> Entering:
+    """What arrives by each interface of lightfields that enter, after up to `depth` interfaces: the sum over all paths."""
+    summed: Entering = {}
+    for _ in range(depth):
+        following: Entering = {}
+        for (block, along), light in front.items():
+            summed[block, along] = summed.get((block, along), 0.0) + passages.arrive @ light
+            for exit_, beyond in doors[block].items():
+                if exit_ != along ^ 1:  # straight rays do not come back through where they enter
+                    passed = passages.onwards(along, exit_) @ light
+                    following[beyond, exit_] = following.get((beyond, exit_), 0.0) + passed
+        front = following
+    return summed
+
+
 def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: float = 1e-3) -> LevelTransfer:
     """Carry every block's lightfields through up to `depth` interfaces, and set up the operators of the level.
 
@@ -252,16 +270,10 @@ def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: fl
             interfaces[other, face] = len(interfaces)
     to, from_, pairs = [], [], []
     for source, faces in enumerate(doors):
-        summed: dict[tuple[int, int], np.ndarray] = {}
+        if len(faces) == FACES:
+            continue  # no surface, no light of its own
         front = {(other, face): passages.leaving(*entries[source], face) for face, other in faces.items()}
-        for _ in range(depth):
-            following: dict[tuple[int, int], np.ndarray] = defaultdict(float)
-            for (block, along), light in front.items():
-                summed[block, along] = summed.get((block, along), 0.0) + passages.arrive @ light
-                for exit_, beyond in doors[block].items():
-                    if exit_ != along ^ 1:  # light does not come back through where it enters
-                        following[beyond, exit_] = following[beyond, exit_] + passages.onwards(along, exit_) @ light
-            front = following
+        summed = _carried(front, doors, passages, depth)
         squares = {key: float(np.sum(matrix**2)) for key, matrix in summed.items()}
         spare = tolerance**2 * sum(squares.values())
         for key in sorted(summed, key=squares.__getitem__):
