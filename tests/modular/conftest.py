@@ -19,7 +19,7 @@ def dictionary() -> Dictionary:
 @pytest.fixture(scope="session")
 def spatial() -> Dictionary:
     """For levels of several layers."""
-    return build(SIDE, functions=24, prior=40, lights=40, grid=GRID, lightfields=80, arriving=24, dimension=3)
+    return build(SIDE, functions=20, prior=32, lights=32, grid=Grid(6, 12), lightfields=64, arriving=24, dimension=3)
 
 
 @pytest.fixture(scope="session")

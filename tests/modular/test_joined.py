@@ -22,6 +22,8 @@ from prt_bench.points import SurfacePoints
 LEVELS = Path(__file__).parents[2] / "experiments" / "levels"
 ROW = Level(((0, 0), (1, 0), (1, 1)))
 PLACES = ((1.0, 3.0, 8.0), (0.5, 3.5), (-2.0, 0.0, 1.0))  # rooms of 2 m and 5 m by 2 m and 1 m, 3 m high
+TOWER = Level(((0, 0, 0), (0, 1, 0), (1, 1, 0)))
+STOREYS = ((1.0, 3.0, 8.0), (0.5, 3.5, 5.0), (-2.0, 0.0, 1.0))
 RNG = np.random.default_rng(3)
 
 
@@ -40,11 +42,15 @@ def on_blocks(placed, side, albedo):
     )
 
 
-@pytest.mark.parametrize("bounces", [1, 3, 4])
-def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(dictionary, bounces):
+@pytest.mark.parametrize(
+    ("level", "places", "kept", "bounces"),
+    [(ROW, PLACES, "dictionary", 1), (ROW, PLACES, "dictionary", 4), (TOWER, STOREYS, "spatial", 3)],
+)
+def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(level, places, kept, bounces, request):
     """Light in the span of the prior, at every sample; rooms are stretched, which changes neither side."""
-    placed, side = Placed(ROW, *PLACES), dictionary.side
-    model = transfer(ROW, dictionary)
+    dictionary = request.getfixturevalue(kept)
+    placed, side = Placed(level, *places), dictionary.side
+    model = transfer(level, dictionary)
     albedo = np.repeat(RNG.uniform(0.2, 0.8, (3, 6, 3)), side * side, axis=1)
     points = on_blocks(placed, side, albedo)
     area = sum(box.areas.sum() for box in placed.boxes) / len(points)
@@ -73,6 +79,10 @@ def test_points_on_a_wall_belong_to_the_block_they_face():
     points = replace(points, position=position - np.array([2.5, 0.0, -1.5]))
     with pytest.raises(FitError, match=r"lies in cell \[0, 0, 1\], where the level has no block"):
         placed.owner(points)
+    between = replace(
+        points[:2], position=np.tile((2.0, 3.5, -1.0), (2, 1)), normal=np.array([[0, 1.0, 0], [0, -1.0, 0]])
+    )
+    assert Placed(TOWER, *STOREYS).owner(between).tolist() == [1, 0]
 
 
 def test_the_file_of_the_maze_is_the_maze():

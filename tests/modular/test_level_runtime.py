@@ -88,10 +88,13 @@ def test_what_is_not_of_one_level_is_refused(level, loaded, any_dictionary):
             LevelRuntime(atlas, operator, scene_of(level), given, EDGE)
 
 
-def test_one_closed_block_has_no_interfaces(any_dictionary):
-    level = Level(((0, 0),))
+@pytest.mark.parametrize(
+    ("level", "bounces"), [(Level(((0, 0),)), 1), (maze(9, seed=3, layers=3), 3)], ids=["one", "layers"]
+)
+def test_a_closed_block_and_blocks_above_each_other_are_the_operator_too(level, bounces, any_dictionary):
     operator, points = transfer(level, any_dictionary), block_samples(level, SIDE, ALBEDO)
     runtime = LevelRuntime(LevelAtlas(level, SIDE), operator, scene_of(level, ALBEDO), points, EDGE, (8, 8), 256)
-    direct, found = runtime.solve(LIGHT)
-    wanted = operator(jnp.asarray(direct), jnp.asarray(points.albedo.reshape(found.shape), jnp.float32))
+    direct, found = runtime.solve(LIGHT, bounces)
+    albedo = points.albedo.reshape(found.shape) * operator.solid[:, :, None]
+    wanted = operator(jnp.asarray(direct), jnp.asarray(albedo, jnp.float32), bounces)
     np.testing.assert_allclose(found, wanted, atol=1e-5 * found.max())

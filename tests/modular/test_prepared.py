@@ -1,5 +1,7 @@
 """The operator as one core runs it, and which pairs of blocks it leaves out."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,14 @@ CELLS = [(i, j) for i in range(3) for j in range(3)]
 
 @pytest.mark.parametrize(
     ("level", "channels"),
-    [(Level(((0, 0),)), 3), (maze(12, seed=4), 3), (Level(tuple(CELLS)), 1)],
-    ids=["one", "maze", "hall"],
+    [
+        (Level(((0, 0),)), 3),
+        (maze(12, seed=4), 3),
+        (Level(tuple(CELLS)), 1),
+        (maze(12, seed=4, layers=3), 3),
+        (Level(tuple(product(range(3), repeat=3))), 1),
+    ],
+    ids=["one", "maze", "hall", "layers", "cube"],
 )
 def test_what_is_prepared_is_the_operator(level, channels, any_dictionary):
     operator = transfer(level, any_dictionary)
