@@ -84,7 +84,7 @@ def test_behind_a_wall_and_at_corners_the_last_texel_stands():
 
 
 @pytest.mark.parametrize(
-    "level", [maze(25, seed=3, loops=0.4), maze(25, seed=3, loops=0.4, layers=3)], ids=["flat", "tall"]
+    "level", [maze(25, seed=3, loops=0.4), maze(25, seed=4, loops=0.4, layers=3)], ids=["flat", "tall"]
 )
 def test_tiles_of_a_maze_agree_along_all_their_seams(level):
     """But for the foot of a wall's end, where a texel of the border would have to follow both sides of the wall."""
@@ -103,8 +103,8 @@ def test_tiles_of_a_maze_agree_along_all_their_seams(level):
                 place[:, 3 - axis - face // 2] += np.linspace(-0.5 + 0.5 / SIDE, 0.5 - 0.5 / SIDE, 7)
                 one, two = (lookup(image, atlas.uv(place, np.full(7, at), np.full(7, face))) for at in (block, other))
                 np.testing.assert_allclose(one, two, atol=1e-12)
-    assert seams[0] > 15
-    assert (seams[1] > 15) == (level.dimension == 3)
+    assert seams[[0, 2]].min() > 10
+    assert (seams[1] > 10) == (level.dimension == 3)
     assert len(tiles) * (SIDE + 2) ** 2 == np.sum(atlas.source >= 0)
 
 
