@@ -167,7 +167,7 @@ def draw(dictionary: Dictionary, path: Path) -> None:
     level = maze(SHOWN, seed=0)
     runtime = loaded(level, transfer(level, dictionary))
     lit, eye, target = (
-        EDGE * (np.array([level.cells[at][0], 0.0, level.cells[at][1]]) + offset)
+        EDGE * (np.array(level.cells[at]) + offset)
         for at, offset in ((0, (-0.3, 0.0, 0.1)), (3, (0.2, 0.15, 0.3)), (2, (-0.3, -0.15, 0.0)))
     )
     lighting = prt.Lighting([prt.PointLight(lit, (9.0, 8.5, 7.5))])

@@ -1,13 +1,15 @@
 """Modular radiance transfer: a dictionary of blocks, levels made of it, and what that costs and misses.
 
-Builds the dictionary (seconds, bytes, singular values that hold 80, 90 and 95 % of the energy, beside the source paper's).
-Random mazes are then lit by a light in each of some blocks; indirect light after one bounce and after all of them is compared
-with the traced operator of the level's own mesh, beside `operator-ridge` fitted to that level and an ambient term (the mean
-direct light times the factor that fits best). What a frame of such a maze costs is in `level_runtime.py`.
+Builds the dictionary of flat levels and that of levels with several layers (seconds, bytes; singular values that hold 80, 90
+and 95 % of the energy, beside the source paper's). Random mazes, flat ones and ones of three layers, are then lit by a light in
+each of some blocks; indirect light after one bounce and after all of them is compared with the traced operator of the level's
+own mesh, beside `operator-ridge` fitted to that level and an ambient term (the mean direct light times the factor that fits
+best). What a frame of such a maze costs is in `level_runtime.py`.
 
-    python experiments/modular.py [--blocks 2 11 41] [--texels 128] [--data FOLDER]
+    python experiments/modular.py [--blocks 2 11 41] [--tall 11 41] [--texels 128] [--data FOLDER]
 
-Draws the floor of the second maze: traced, modular, and their difference. Keeps the dictionary beside the bakes.
+Draws the floor of the second flat maze, and the floors of the first tall one from the lowest up: traced, modular, and their
+difference. Keeps the flat dictionary beside the bakes.
 """
 
 import time
@@ -27,37 +29,58 @@ from prt_bench.lights import emitters
 from prt_bench.metrics import relative_rmse
 from prt_bench.modular.cube import one_bounce
 from prt_bench.modular.dictionary import Dictionary, build
-from prt_bench.modular.level import maze, transfer
+from prt_bench.modular.level import Level, maze, transfer
 from prt_bench.modular.modes import direct_light, enriched, needed
 from prt_bench.store import data_folder
 from prt_bench.transport import indirect
 
 SHARES = (0.8, 0.9, 0.95)
 PAPER = {"F": (164, 240, 313), "L": (22, 41, 62), "M": (1, 5, 8)}
+LAYERS = 3  # of a tall maze
 LIT = 12  # lightings that are compared
 PIXELS = 40  # of a picture along a block
 
 
 def main() -> None:
-    parser = arguments(__doc__, "modular.webp", blocks=[2, 11, 41], texels=128, rays=256)
+    parser = arguments(__doc__, "modular.webp", blocks=[2, 11, 41], tall=[11, 41], texels=128, rays=256)
     settings = parser.parse_args()
     folder = settings.data or data_folder()
-    started = time.perf_counter()
-    dictionary = build()
-    seconds = time.perf_counter() - started
-    dictionary.save(Path(folder) / "blocks.safetensors")
-    print(
-        f"dictionary: {seconds:.0f} s, {dictionary.bytes / 1e6:.1f} MB (paper 59 + 60 + 260 s on 12 cores, 4.7 + 1.2 MB)\n"
+    rows: list[tuple] = []
+    pictures: dict[int, list[tuple]] = {}
+    for layers, counts in ((1, settings.blocks), (LAYERS, settings.tall)):
+        dictionary = timed(3 if layers > 1 else 2)
+        if layers == 1:
+            dictionary.save(Path(folder) / "blocks.safetensors")
+            spectra()
+        for count in counts:
+            found, picture = study(maze(count, seed=0, layers=layers), dictionary, settings, folder)
+            rows += found
+            pictures.setdefault(layers, []).append(picture)
+    heads = (
+        "blocks",
+        "layers",
+        "bounces",
+        "modular",
+        "operator-ridge b64",
+        "ambient",
+        "energy, modular / traced",
+        "noise",
     )
-    spectra()
-    rows, shown = [], None
-    for count in settings.blocks:
-        found, picture = study(count, dictionary, settings, folder)
-        rows += found
-        shown = picture if shown is None or count == settings.blocks[min(1, len(settings.blocks) - 1)] else shown
-    table(("blocks", "bounces", "modular", "operator-ridge b64", "ambient", "energy, modular / traced", "noise"), rows)
-    if shown is not None:
-        draw(settings.out, *shown)
+    table(heads, rows)
+    draw(settings.out, *pictures[1][:2][-1])
+    draw(settings.out.with_stem(settings.out.stem + "_tall"), *pictures[LAYERS][0])
+
+
+def timed(dimension: int) -> Dictionary:
+    """The dictionary of a dimension, built; says what that took."""
+    started = time.perf_counter()
+    dictionary = build(dimension=dimension)
+    seconds = time.perf_counter() - started
+    print(
+        f"dictionary of {len(dictionary.basis)} cubes: {seconds:.0f} s, {dictionary.bytes / 1e6:.1f} MB"
+        " (paper, flat: 59 + 60 + 260 s on 12 cores, 4.7 + 1.2 MB)\n"
+    )
+    return dictionary
 
 
 def spectra() -> None:
@@ -77,18 +100,15 @@ def spectra() -> None:
     print()
 
 
-def study(count: int, dictionary: Dictionary, settings, folder) -> tuple[list[tuple], tuple]:
+def study(level: Level, dictionary: Dictionary, settings, folder) -> tuple[list[tuple], tuple]:
     """One maze: rows of the table for one bounce and for all, and what is drawn of it."""
-    level = maze(count, seed=0)
-    scene = scene_of(level, ALBEDO)
+    scene, cells = scene_of(level, ALBEDO), np.array(level.cells)
+    count, layers = len(cells), len(np.unique(cells[:, 1]))
     ds = prt.bake(
         scene, "point", 128, settings.texels, settings.rays, 16 * count, seed=0, out=folder, supersampling=1
     )  # fmt: skip
     random = np.random.default_rng(1)
-    places = EDGE * (
-        np.array([(c, 0.0, r) for c, r in level.cells])[random.integers(0, count, LIT)]
-        + random.uniform(-0.35, 0.35, (LIT, 3))
-    )
+    places = EDGE * (cells[random.integers(0, count, LIT)] + random.uniform(-0.35, 0.35, (LIT, 3)))
     lightings = [prt.Lighting([prt.PointLight(place, (20.0, 19.0, 17.0))]) for place in places]
     lit = prt.light(ds, lightings)
     direct = direct_irradiance(Tracer(scene), block_samples(level, dictionary.side), emitters(lightings))
@@ -114,7 +134,8 @@ def study(count: int, dictionary: Dictionary, settings, folder) -> tuple[list[tu
             pictures = (ds, wanted[0], ours[0])
         noise = f"{np.median(lit.noise):.3f}" if bounces == "all" else ""
         energy = f"{ours.mean() / wanted.mean():.3f}"
-        rows.append((count, bounces, f"{relative_rmse(ours, wanted):.3f}", ridge, f"{ambient:.3f}", energy, noise))
+        error = f"{relative_rmse(ours, wanted):.3f}"
+        rows.append((count, layers, bounces, error, ridge, f"{ambient:.3f}", energy, noise))
     return rows, pictures
 
 
@@ -125,20 +146,27 @@ def ambient_error(direct: np.ndarray, wanted: np.ndarray) -> float | None:
 
 
 def draw(path: Path, ds: prt.LightingDataset, wanted: np.ndarray, found: np.ndarray) -> None:
-    """The floor from above under the first lighting: each pixel the nearest texel."""
+    """The floors from above under the first lighting, the lowest on top: each pixel the nearest texel."""
     floor = ds.points.normal[:, 1] > 0.5
-    place = ds.points.position[floor][:, [0, 2]] / EDGE
+    place = ds.points.position[floor] / EDGE
+    storey = np.rint(place[:, 1] + 0.5).astype(int)
     low, high = place.min(axis=0), place.max(axis=0)
-    x, z = (np.arange(low[axis], high[axis], 1.0 / PIXELS) for axis in (0, 1))
-    away, nearest = KDTree(place).query(np.stack(np.meshgrid(x, z), axis=-1))
+    x, z = (np.arange(low[axis], high[axis], 1.0 / PIXELS) for axis in (0, 2))
     top = np.quantile(wanted[floor], 0.99)
     parts = {
         "traced": np.clip(wanted / top, 0, 1) ** (1 / 2.2),
         "modular": np.clip(found / top, 0, 1) ** (1 / 2.2),
         "difference × 4": np.clip(0.5 + 4.0 * (found - wanted) / top, 0, 1),
     }
-    panels = {title: np.where((away < 0.1)[..., None], light[floor][nearest], 1.0) for title, light in parts.items()}
-    floors(path, panels, 4 * len(z) / len(x) + 0.5)
+    panels: dict[str, list[np.ndarray]] = {title: [] for title in parts}
+    for layer in np.unique(storey):
+        rows = np.flatnonzero(floor)[storey == layer]
+        away, nearest = KDTree(place[storey == layer][:, [0, 2]]).query(np.stack(np.meshgrid(x, z), axis=-1))
+        for title, light in parts.items():
+            panels[title].append(np.where((away < 0.1)[..., None], light[rows][nearest], 1.0))
+            panels[title].append(np.ones((PIXELS // 4, len(x), 3)))
+    whole = {title: np.concatenate(images[:-1]) for title, images in panels.items()}
+    floors(path, whole, 4 * len(whole["traced"]) / len(x) + 0.5)
 
 
 if __name__ == "__main__":

@@ -78,13 +78,13 @@ plt.show()
 # %% [markdown]
 # ## The dictionary
 #
-# Six cubes, up to quarter turns. Beside functions and the matrices that read them from radiosity, it has the lightfields that
-# leave a missing side, how these pass straight on, left and right through a block, and the light they leave on its faces. None
-# of these steps makes light stronger.
+# Six cubes, up to rotation; nine with `dimension=3`, for levels of several layers. Beside functions and the matrices that read
+# them from radiosity, it has the lightfields that leave a missing side, how these pass straight on, left and right through a
+# block, and the light they leave on its faces. None of these steps makes light stronger.
 
 # %%
 dictionary = build(SIDE, functions=24, prior=48, lights=48, grid=Grid(6, 10), lightfields=48, arriving=20)
-print(f"{len(KINDS)} blocks, {dictionary.bytes / 1e6:.1f} MB")
+print(f"{len(dictionary.basis)} blocks, {dictionary.bytes / 1e6:.1f} MB")
 strongest = [float(np.linalg.norm(np.asarray(way), 2)) for way in dictionary.onwards]
 print("largest singular value straight on, left, right:", *(f"{value:.3f}" for value in strongest))
 assert max(strongest) <= 1 + 1e-5
@@ -98,7 +98,7 @@ assert max(strongest) <= 1 + 1e-5
 # %%
 level = maze(9, seed=3)
 scene, samples = scene_of(level), block_samples(level, SIDE)
-lighting = prt.Lighting([prt.PointLight(EDGE * np.array([level.cells[0][0], 0.1, level.cells[0][1]]), (9.0, 8.5, 7.5))])
+lighting = prt.Lighting([prt.PointLight(EDGE * np.add(level.cells[0], (0.0, 0.1, 0.0)), (9.0, 8.5, 7.5))])
 direct = direct_irradiance(Tracer(scene), samples, emitters([lighting]))[0].reshape(len(level.cells), -1, 3)
 model = transfer(level, dictionary)
 b = model.coefficients(jnp.asarray(0.7 * direct))
@@ -107,7 +107,7 @@ print(f"b {b.shape}: blocks, functions, channels; r {r.shape}: openings, functio
 once, all_bounces = (np.asarray(model(jnp.asarray(direct), 0.7, bounces)) for bounces in (1, 12))
 
 # %%
-cells = np.array(level.cells)
+cells = np.array(level.cells)[:, [0, 2]]  # columns and rows
 low, high = cells.min(axis=0), cells.max(axis=0)
 
 
