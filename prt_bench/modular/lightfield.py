@@ -8,7 +8,6 @@ enters through −x and goes on along +x. Propagation within a block is then str
 dimensions it is also up and down, and all but straight are the left one between rolls about the direction.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -126,14 +125,22 @@ def spanning(
     """H [s, k]: an orthonormal basis of lightfields that leave blocks, and of what `rounds` steps through blocks make of them.
 
     After each step what it gives is scaled to the norm of the basis before it, put beside it, and the leading vectors of both
-    are kept. With `roll`, which is `rolling`, these are of all four rolls of the lightfields, and so is their span.
+    are kept. With `roll`, which is `rolling`, `ways` are straight on and left, these are of all four rolls, and the span is
+    closed under them.
     """
-    keep = _leading if roll is None else partial(_closed, roll=roll)
-    found = lightfields / np.linalg.norm(lightfields)
-    found = keep(found if roll is None else _leading(found, 2 * count), count)
+    found = _leading(lightfields / np.linalg.norm(lightfields), count)
+    if roll is not None:
+        found = _closed(found[:, :0], found, count, roll)
     for _ in range(rounds):
-        moved = np.concatenate([way @ found for way in ways], axis=1)
-        found = keep(np.concatenate([found / np.linalg.norm(found), moved / np.linalg.norm(moved)], axis=1), count)
+        moved = [way @ found for way in ways]
+        found = found / np.linalg.norm(found)
+        if roll is None:
+            beside = np.concatenate(moved, axis=1)
+            found = _leading(np.concatenate([found, beside / np.linalg.norm(beside)], axis=1), count)
+        else:
+            straight, left = moved
+            size = np.hypot(np.linalg.norm(straight), 2.0 * np.linalg.norm(left))
+            found = _closed(np.concatenate([found, straight / size], axis=1), left / size, count, roll)
     size = np.linalg.norm(found, axis=0)
     return found[:, size > 0] / size[size > 0]
 
@@ -144,16 +151,21 @@ def rolled(span: Float[np.ndarray, "s k"], roll: Int[np.ndarray, " s"]) -> Float
     return u @ vt
 
 
-def _closed(columns: np.ndarray, count: int, roll: np.ndarray) -> np.ndarray:
-    """Leading vectors, times singular values, of the columns and their rolls; if one is kept, so are its rolls.
+def _closed(closed: np.ndarray, columns: np.ndarray, count: int, roll: np.ndarray) -> np.ndarray:
+    """Leading vectors, times singular values, of columns in all four rolls beside others whose rolls change nothing.
 
-    After half a turn light is the same or its opposite, or a sum of both, which are orthogonal. Of the latter, a vector and
-    its roll have the same singular value.
+    Half a turn keeps a lightfield, or negates it, or it is a sum of two such, which are orthogonal; of each, one row stands for
+    two. Of the negated ones a vector and its roll have the same singular value, and both are kept.
     """
-    half = columns[roll][roll]
-    parts = []
-    for part in (columns + half, columns - half):
-        parts.append(_leading(np.concatenate([part, part[roll]], axis=1), count))
+    half, parts = roll[roll], []
+    rows = np.flatnonzero(half >= np.arange(len(half)))
+    weight = np.where(half[rows] == rows, 1.0, 0.5**0.5)[:, None]
+    for sign in (1.0, -1.0):
+        fixed, *rolls = (part[rows] + sign * part[half[rows]] for part in (closed, columns, columns[roll]))
+        vectors = _leading(np.concatenate([0.5 * fixed, *(0.5**0.5 * part for part in rolls)], axis=1) / weight, count)
+        whole = np.empty((len(half), vectors.shape[1]))
+        whole[rows], whole[half[rows]] = weight * vectors, sign * weight * vectors
+        parts.append(whole)
     sizes = [np.linalg.norm(part, axis=0) for part in parts]
     odd = int(np.sum(np.argsort(-np.concatenate(sizes))[:count] >= len(sizes[0]))) // 2 * 2
     return np.concatenate([parts[0][:, : count - odd], parts[1][:, :odd]], axis=1)
