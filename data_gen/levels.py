@@ -1,6 +1,7 @@
 """Levels of blocks as scenes: the mesh that a level stands for, to be baked, traced and compared like any other."""
 
 import numpy as np
+from jaxtyping import Float
 
 from data_gen.geometry import Part, assemble
 from prt_bench.modular.cube import FACES, inward
@@ -14,10 +15,13 @@ WALL = 0.03
 """Metres of a wall's thickness between two blocks: faces that coincided would hide each other from rays."""
 Colours = tuple[tuple[float, float, float], ...]
 """An albedo for each of the six kinds of face."""
+_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # of a face, along its two axes
 NAMES = ("wall +x", "wall -x", "ceiling", "floor", "wall +z", "wall -z")
 
 
-def scene_of(level: Level, albedo: Colours = ((0.7, 0.7, 0.7),) * 6) -> Scene:
+def scene_of(
+    level: Level, albedo: Colours = ((0.7, 0.7, 0.7),) * 6, bumps: Float[np.ndarray, "h w 3"] | None = None
+) -> Scene:
     """The faces of a level's blocks, fronts inward.
 
     A block's cell · `EDGE` is its centre. A wall between two blocks takes half of its thickness from each.
@@ -26,17 +30,18 @@ def scene_of(level: Level, albedo: Colours = ((0.7, 0.7, 0.7),) * 6) -> Scene:
     for block, face in level.surfaces():
         normal = inward(np.array([face]))[0]
         u, v = np.eye(3)[(face // 2 + 1) % 3], np.eye(3)[(face // 2 + 2) % 3]
-        corners = np.array([a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]) - normal
+        corners = (2.0 * _CORNERS - 1.0) @ np.stack([u, v]) - normal
         order = np.array([[0, 1, 2], [0, 2, 3]])
         if np.dot(np.cross(u, v), normal) < 0:
             order = order[:, ::-1]
         inset = 0.5 * WALL * normal if (block, face) in between else 0.0
-        parts.append(Part(EDGE * (np.array(level.cells[block]) + 0.5 * corners) + inset, order, face))
+        uv = None if bumps is None else _CORNERS[order]
+        parts.append(Part(EDGE * (np.array(level.cells[block]) + 0.5 * corners) + inset, order, face, uv))
     cells = np.array(level.cells)
     x, y, z = (EDGE * cells.mean(axis=0)).tolist()
     far = EDGE * (2.0 + np.ptp(cells[:, [0, 2]], axis=0).max() + 0.5 * np.ptp(cells[:, 1]))
     camera = Camera((x, y + float(far), z + 0.1 * EDGE), (x, y, z))
-    materials = tuple(Material(name, colour) for name, colour in zip(NAMES, albedo, strict=True))
+    materials = tuple(Material(name, colour, normal_image=bumps) for name, colour in zip(NAMES, albedo, strict=True))
     return Scene(f"level-{len(level.cells)}", assemble(parts), materials, camera)
 
 

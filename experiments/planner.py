@@ -8,6 +8,7 @@ what the bake took. Scenes whose mesh was not fetched are left out.
         [--gather auto] [--gather_tolerance 0.05]
 """
 
+from math import ceil
 from tempfile import TemporaryDirectory
 
 from _frames import arguments, table
@@ -15,6 +16,7 @@ from _frames import arguments, table
 import prt_bench as prt
 from prt_bench.errors import SceneError
 from prt_bench.scene import Scene
+from prt_bench.strands import TEXELS
 
 
 def main() -> None:
@@ -31,7 +33,7 @@ def main() -> None:
             continue
         with TemporaryDirectory() as folder:
             ds = prt.bake(
-                scene, settings.scenario, settings.lightings, settings.texels, settings.rays,
+                scene, settings.scenario, settings.lightings, texels_of(scene, settings.texels), settings.rays,
                 out=settings.data or folder,
                 gather_texels=settings.gather if settings.gather == "auto" else int(settings.gather),
                 gather_tolerance=settings.gather_tolerance,
@@ -79,6 +81,12 @@ def loaded(name: str) -> Scene | None:
     except SceneError as error:
         print(f"{name} is left out: {error}")
         return None
+
+
+def texels_of(scene: Scene, texels: int) -> int:
+    """As many as asked for, or what the scene's hair needs."""
+    strands = 0 if scene.strands is None else len(scene.strands)
+    return max(texels, 10 * ceil(1.25 * (TEXELS * strands) ** 0.5 / 10))
 
 
 def cost(name: str, ds: prt.LightingDataset) -> list[object]:

@@ -10,7 +10,7 @@ import itertools
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from prt_bench.spherical.harmonics import evaluate, quadrature
 
@@ -24,7 +24,10 @@ class ProbeVolume(eqx.Module):
     """Irradiance under N lightings in a box from `low` to `high` [3], in metres, with the probes at the centres of equal cells.
 
     `coefficients` [N, P, 9, C] are in W/m², probes in the order of `np.indices(shape)`. Those inside bodies or beyond
-    walls, `buried` [P], are left out. Differentiable in coefficients, places (almost everywhere) and normals.
+    walls, `buried` [P], are left out. Where the box is a grid of rooms, each with `room`³ probes, `open_to` [P] says which of
+    the 27 rooms around that of a probe, itself among them, are open to it: bits in the order of `np.indices((3, 3, 3))`; a
+    place then has light from probes of these rooms alone. Differentiable in coefficients, places (almost everywhere) and
+    normals.
     """
 
     low: Float[Array, "3"]
@@ -32,6 +35,8 @@ class ProbeVolume(eqx.Module):
     buried: Bool[Array, " P"]
     coefficients: Float[Array, "N P K C"]
     shape: tuple[int, int, int] = eqx.field(static=True)
+    open_to: Int[Array, " P"] | None = None
+    room: int = eqx.field(static=True, default=1)
 
     def irradiance(self, position: Float[Array, "Q 3"], normal: Float[Array, "Q 3"]) -> Float[Array, "N Q C"]:
         """What surfaces at `position` with unit `normal` receive, W/m².
@@ -43,16 +48,23 @@ class ProbeVolume(eqx.Module):
         place = jnp.clip((position - self.low) / (self.high - self.low) * cells - 0.5, 0.0, cells - 1.0)
         first = jnp.minimum(jnp.floor(place).astype(int), jnp.maximum(cells - 2, 0))
         along = place - first
+        here = jnp.round(place).astype(int)
         total, mixed = 0.0, 0.0
         for corner in itertools.product((0, 1), repeat=3):
             step = jnp.asarray(corner)
             index = jnp.minimum(first + step, cells - 1)
-            probe = (index[:, 0] * self.shape[1] + index[:, 1]) * self.shape[2] + index[:, 2]
+            probe = self._number(index)
             weight = jnp.prod(jnp.where(step == 1, along, 1.0 - along), axis=1) * ~self.buried[probe]
+            if self.open_to is not None:
+                around = (index // self.room - here // self.room + 1) @ jnp.array([9, 3, 1])
+                weight = weight * (self.open_to[self._number(here)] >> around & 1)
             total = total + weight
             mixed = mixed + weight[:, None, None] * self.coefficients[:, probe]
         mixed = mixed / jnp.where(total > 0, total, 1.0)[:, None, None]
         return jnp.einsum("nqkc,qk->nqc", mixed, evaluate(normal, ORDER))
+
+    def _number(self, index: Int[Array, "Q 3"]) -> Int[Array, " Q"]:
+        return (index[:, 0] * self.shape[1] + index[:, 1]) * self.shape[2] + index[:, 2]
 
 
 def normals() -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "9 J"]]:

@@ -67,8 +67,8 @@ class Material:
     the specular part of `glossy` are at most 1 together.
 
     `normal_image` [height, width, 3] tilts the normal: vectors of any length in the frame of the texture coordinates, x
-    along u, y along v, z > 0 along the face's normal (from the usual colours c in [0, 1] by 2c − 1). Diffuse transfer does
-    not read it; see `Scene.shading_normal_at`.
+    along u, y along v, z > 0 along the face's normal (from the usual colours c in [0, 1] by 2c − 1). See
+    `Scene.shading_normal_at`.
 
     `subsurface` fills the closed surfaces of the material with a medium. Its boundary then reflects what light does not
     enter, so albedo and specular are at most `Subsurface.reflected` together: usually 0, the medium gives the colour.

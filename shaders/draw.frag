@@ -96,11 +96,14 @@ void main() {
     place_on_surface = Place(position, normal);
 #endif
 #ifdef INDIRECT
-#ifdef TRANSLUCENT
     vec3 indirect = indirect_irradiance(lightmap_uv);
+#ifdef TILTED
+    indirect = max(indirect + change_by_tilt(lightmap_uv, facing - normal), vec3(0.0));
+#endif
+#ifdef TRANSLUCENT
     if (colour.r < 0.0) irradiance += indirect;
 #else
-    irradiance += indirect_irradiance(lightmap_uv);
+    irradiance += indirect;
 #endif
 #endif
     vec3 reflectance = albedo;

@@ -9,6 +9,7 @@
 // RECONSTRUCT_FIELD    Σ_b u_b φ_b, the functions from a network of the place on the surface
 // RECONSTRUCT_SPLATS   what the splats of samples left on the screen
 // BOUNCED adds what surfaces send under fixed light: for each channel, harmonics in layers from this one on.
+// TILTED has in three layers more how light changes with the normal, along each axis.
 // MIPS reads halved images where a frame shows many texels in a pixel.
 // GAMMA takes the sum back along the curve, times the size in the last coefficient.
 #ifdef GAMMA
@@ -99,3 +100,9 @@ vec3 indirect_irradiance(vec2 uv) {
     return reconstruction(uv);
 #endif
 }
+
+#ifdef TILTED
+vec3 change_by_tilt(vec2 uv, vec3 tilt) {
+    return tilt.x * stored(uv, 1).rgb + tilt.y * stored(uv, 2).rgb + tilt.z * stored(uv, 3).rgb;
+}
+#endif

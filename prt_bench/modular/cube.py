@@ -88,9 +88,14 @@ def cosine_rays(normal: Float[np.ndarray, "n 3"], across: int) -> Float[np.ndarr
     middles = (np.arange(across) + 0.5) / across
     x, y = disk(*np.meshgrid(middles, middles))
     local = np.stack([x, y, np.sqrt(np.maximum(0.0, 1.0 - x * x - y * y))], axis=-1).reshape(-1, 3)
+    return np.einsum("rk,nkc->nrc", local, frames(normal))
+
+
+def frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Two axes of the cube across each normal, right-handed with it, and the normal: as rows. Normals are axes themselves
+    or near them."""
     first = np.eye(3)[(np.argmax(np.abs(normal), axis=1) + 1) % 3]
-    frames = np.stack([first, np.cross(normal, first), normal], axis=1)
-    return np.einsum("rk,nkc->nrc", local, frames)
+    return np.stack([first, np.cross(normal, first), normal], axis=1)
 
 
 def disk(

@@ -32,6 +32,7 @@ from prt_bench.modular.lightfield import (
 )
 from prt_bench.modular.modes import Modes, factors, reduced
 from prt_bench.modular.rotations import FACE, INVERSE, ROTATIONS, turns
+from prt_bench.modular.secondary import Secondary
 from prt_bench.progress import track
 from prt_bench.store import data_folder
 
@@ -44,6 +45,7 @@ DOORS = [(kind, face) for kind, missing in enumerate(KINDS) for face in missing]
 _FLAT = 6
 VERSION = 3
 _LEAST_SIDE = 4
+_SECONDARY = "secondary."  # before names of its arrays in the file
 
 
 class Dictionary(eqx.Module):
@@ -53,7 +55,8 @@ class Dictionary(eqx.Module):
     block to the lightfield that leaves through each of `DOORS`, in the frame of that face. For light that enters through −x,
     `onwards` [w, k, k] to that which leaves straight on, to the left and, in a flat dictionary, to the right; `arrive` [R, k]
     and `arriving` [n, R] to irradiance on the samples, `arriving` orthonormal. In three dimensions `roll` [1, k, k] turns a
-    lightfield by a quarter about its direction, and is orthogonal; in a flat dictionary it is [0, k, k].
+    lightfield by a quarter about its direction, and is orthogonal; in a flat dictionary it is [0, k, k]. `secondary` is for
+    normal maps and for bodies in the air, where these were asked for.
     """
 
     basis: Float[Array, "K n B"]
@@ -64,6 +67,7 @@ class Dictionary(eqx.Module):
     roll: Float[Array, "r k k"]
     arrive: Float[Array, "R k"]
     arriving: Float[Array, "n R"]
+    secondary: Secondary | None = None
 
     @property
     def side(self) -> int:
@@ -92,12 +96,16 @@ class Dictionary(eqx.Module):
     def load(cls, path: Path) -> Self:
         """Read what `save` wrote. Raises `FitError` where the file holds no dictionary."""
         try:
-            return cls(**{name: jnp.asarray(array) for name, array in load_file(path).items()})
+            arrays = {name: jnp.asarray(array) for name, array in load_file(path).items()}
+            beside = {name: arrays.pop(_SECONDARY + name) for name in _names(Secondary) if _SECONDARY + name in arrays}
+            return cls(**arrays, secondary=Secondary(**beside) if beside else None)
         except Exception as reason:
             raise FitError(f"{path} holds no dictionary of blocks ({reason}); build it anew") from reason
 
     def _arrays(self) -> dict[str, Array]:
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        own = {name: getattr(self, name) for name in _names(type(self)) if name != "secondary"}
+        beside = self.secondary
+        return own | ({_SECONDARY + name: getattr(beside, name) for name in _names(Secondary)} if beside else {})
 
 
 def build(
@@ -109,10 +117,12 @@ def build(
     lightfields: int = 128,
     arriving: int = 32,
     dimension: int = 2,
+    secondary: bool = False,
 ) -> Dictionary:
     """Compute the dictionary; `side`² samples a face, `functions` within a block, `lightfields` between them.
 
-    `dimension` is 2 for flat levels, 3 for light that goes up and down too. Raises `SpecError` for other dimensions, and for
+    `dimension` is 2 for flat levels, 3 for light that goes up and down too; `secondary` adds what normal maps and bodies in the
+    air need. Raises `SpecError` for other dimensions, and for
     sizes that are too small. Not differentiable.
     """
     if dimension not in (2, 3):
@@ -134,6 +144,8 @@ def build(
     rolls = np.zeros((0, *onwards[0].shape)) if roll is None else rolled(span, roll)[None]
     u, s, vt = factors(response(side, grid) @ span)
     rows = min(arriving, len(s))
+    implicit = [_filled(modes.implicit, functions) for modes in entries]
+    beside = Secondary.of(implicit, span @ (vt[:rows].T / s[:rows]), side, grid) if secondary else None
     return Dictionary(
         *(
             jnp.asarray(array, jnp.float32)
@@ -143,7 +155,8 @@ def build(
                 np.stack([_filled(modes.prior, prior) for modes in entries]),
                 np.stack(leave), np.stack(onwards), rolls, s[:rows, None] * vt[:rows], u[:, :rows],
             )
-        )
+        ),
+        secondary=beside,
     )  # fmt: skip
 
 
@@ -168,6 +181,11 @@ def standard(**sizes: int) -> Dictionary:
     dictionary = build(**sizes)
     dictionary.save(path)
     return dictionary
+
+
+def _names(kind: type[eqx.Module]) -> list[str]:
+    """Names of a module's fields."""
+    return list(kind.__dataclass_fields__)
 
 
 def _filled(columns: Float[np.ndarray, "n b"], count: int) -> Float[np.ndarray, "n B"]:

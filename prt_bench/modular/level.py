@@ -222,11 +222,18 @@ class LevelTransfer(eqx.Module):
         self, direct: Float[Array, "N n C"], albedo: Float[Array, "N n C"] | float, bounces: int = 1
     ) -> Float[Array, "N n C"]:
         """Indirect irradiance after so many bounces, each from what the one before it left."""
-        light = jnp.zeros_like(direct)
-        for _ in range(bounces):
-            b = self.coefficients(albedo * (direct + light))
-            light = self.indirect(b, self.arriving(b))
-        return light
+        return self.indirect(*self.bounced(direct, albedo, bounces))
+
+    def bounced(
+        self, direct: Float[Array, "N n C"], albedo: Float[Array, "N n C"] | float, bounces: int = 1
+    ) -> tuple[Float[Array, "N B C"], Float[Array, "I R C"]]:
+        """b and r of the light after so many bounces, at least one."""
+        b = self.coefficients(albedo * direct)
+        r = self.arriving(b)
+        for _ in range(bounces - 1):
+            b = self.coefficients(albedo * (direct + self.indirect(b, r)))
+            r = self.arriving(b)
+        return b, r
 
 
 Entering = dict[tuple[int, int], Float[np.ndarray, "_ B"]]

@@ -54,7 +54,7 @@ def propagation(way: str, grid: Grid) -> csr_array:
     origin, direction = _leaving(way, grid)
     rays = direction.shape[1]
     met = meet(np.repeat(origin, rays, axis=0), -direction.reshape(-1, 3))
-    return _looked_up(met, direction.reshape(-1, 3), np.repeat(np.arange(grid.size), rays), grid, grid.size) / rays
+    return looked_up(met, direction.reshape(-1, 3), np.repeat(np.arange(grid.size), rays), grid, grid.size) / rays
 
 
 def response(side: int, grid: Grid, across: int = 64) -> csr_array:
@@ -67,7 +67,7 @@ def response(side: int, grid: Grid, across: int = 64) -> csr_array:
         direction = cosine_rays(normal[rows], across).reshape(-1, 3)
         owner = np.repeat(np.arange(len(position[rows])), rays)
         met = meet(np.repeat(position[rows], rays, axis=0), direction)
-        parts.append(_looked_up(met, -direction, owner, grid, len(position[rows])))
+        parts.append(looked_up(met, -direction, owner, grid, len(position[rows])))
     return csr_array(vstack(parts)) * (np.pi / rays)
 
 
@@ -97,7 +97,7 @@ def _leaving(way: str, grid: Grid) -> tuple[Float[np.ndarray, "s 3"], Float[np.n
     return np.repeat(origin, grid.turns**2, axis=0), np.tile(direction, (grid.places**2, 1, 1))
 
 
-def _looked_up(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray, grid: Grid, rows: int) -> csr_array:
+def looked_up(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray, grid: Grid, rows: int) -> csr_array:
     """Interpolation in the lightfield at the entrance for rays that meet it, summed over the rays of each row."""
     through = np.flatnonzero(met.face == _ENTRANCE)
     right, up, _ = _frame(EXITS["straight"])

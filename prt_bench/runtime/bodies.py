@@ -29,7 +29,50 @@ if TYPE_CHECKING:
 _WORKGROUP = 64
 
 
-class ProbeLight:
+class ProbeBuffer:
+    """Coefficients of a volume's probes on the GPU, of its first lighting where it has one, and what reads them."""
+
+    def __init__(self, context: moderngl.Context, volume: ProbeVolume) -> None:
+        self.probes = len(volume.buried)
+        self._context, self._volume = context, volume
+        content = np.zeros((self.probes, ORDER**2, 4), "<f4")
+        content[:, 0, 3] = ~np.asarray(volume.buried)
+        if len(volume.coefficients):
+            content[:, :, :3] = np.asarray(volume.coefficients[0])
+        self.buffer = context.buffer(content.tobytes())
+        doors = volume.open_to
+        self._doors = None if doors is None else context.buffer(np.asarray(doors).astype("<i4").tobytes())
+
+    @property
+    def defines(self) -> shaders.Defines:
+        """What compiles the lookup in."""
+        rooms = {} if self._doors is None else {"ROOM": self._volume.room}
+        return {"PROBES": 1, "ORDER": ORDER, "CELLS": f"ivec3({', '.join(map(str, self._volume.shape))})", **rooms}
+
+    @property
+    def bytes(self) -> int:
+        """GPU memory of the coefficients."""
+        return self.buffer.size + (0 if self._doors is None else self._doors.size)
+
+    def read(self) -> Float[np.ndarray, "P 9 3"]:
+        """The coefficients as they are now, W/m²."""
+        check(self._context, "filling probes")
+        return np.frombuffer(self.buffer.read(), "<f4").reshape(self.probes, ORDER**2, 4)[:, :, :3].copy()
+
+    def prepare(self, lights: UploadedLights, measured: bool = False) -> None:
+        """Coefficients under `lights`, whose shadow maps are there; `measured` says that their light is measured already. Those
+        that were given stay as they are."""
+
+    def bind(self, program: moderngl.Program) -> None:
+        """Bind what `probes.glsl` reads."""
+        self.buffer.bind_to_storage_buffer(9)
+        if self._doors is not None:
+            self._doors.bind_to_storage_buffer(10)
+        for name, corner in (("volume_low", self._volume.low), ("volume_high", self._volume.high)):
+            shaders.uniform(program, name).value = tuple(map(float, corner))
+
+
+class ProbeLight(ProbeBuffer):
     """Coefficients of probes in a buffer: those of `volume`, or of what `asset` predicts from the light of each frame.
 
     The asset is one fitted to `Probes.dataset`; of the volume only the grid counts then. Raises `AssetError` for an asset of
@@ -37,18 +80,12 @@ class ProbeLight:
     """
 
     def __init__(self, runtime: "Runtime", volume: ProbeVolume, asset: RuntimeAsset | None = None) -> None:
-        self._runtime, self._volume = runtime, volume
-        self.probes = len(volume.buried)
-        air = ~np.asarray(volume.buried)
-        content = np.zeros((self.probes, ORDER**2, 4), "<f4")
-        content[:, 0, 3] = air
-        if asset is None:
-            if len(volume.coefficients) != 1:
-                raise AssetError(
-                    f"a volume of {len(volume.coefficients)} lightings lights no body; pick one, or give an asset"
-                )
-            content[:, :, :3] = np.asarray(volume.coefficients[0])
-        self._buffer = runtime.context.buffer(content.tobytes())
+        if asset is None and len(volume.coefficients) != 1:
+            raise AssetError(
+                f"a volume of {len(volume.coefficients)} lightings lights no body; pick one, or give an asset"
+            )
+        super().__init__(runtime.context, volume)
+        self._runtime = runtime
         self._asset = None if asset is None else self._loaded(asset)
 
     def _loaded(self, asset: RuntimeAsset) -> MeasuredAsset:
@@ -72,17 +109,12 @@ class ProbeLight:
         return loaded
 
     @property
-    def defines(self) -> shaders.Defines:
-        """What compiles the lookup in."""
-        return {"PROBES": 1, "ORDER": ORDER, "CELLS": f"ivec3({', '.join(map(str, self._volume.shape))})"}
-
-    @property
     def bytes(self) -> int:
         """GPU memory of the coefficients, and of the asset that makes them."""
-        return self._buffer.size + (0 if self._asset is None else self._asset.bytes + self._projection.size)
+        return super().bytes + (0 if self._asset is None else self._asset.bytes + self._projection.size)
 
     def prepare(self, lights: UploadedLights, measured: bool = False) -> None:
-        """Coefficients under `lights`, whose shadow maps are there; `measured` says that their light is measured already."""
+        """Coefficients that the asset predicts for this light, if there is one."""
         if self._asset is None:
             return
         if not measured:
@@ -98,21 +130,10 @@ class ProbeLight:
         self._fill(self._asset)
         return self.read()
 
-    def read(self) -> Float[np.ndarray, "P 9 3"]:
-        """The coefficients as they are now, W/m²."""
-        check(self._runtime.context, "filling probes")
-        return np.frombuffer(self._buffer.read(), "<f4").reshape(self.probes, ORDER**2, 4)[:, :, :3].copy()
-
-    def bind(self, program: moderngl.Program) -> None:
-        """Bind what `probes.glsl` reads."""
-        self._buffer.bind_to_storage_buffer(9)
-        for name, corner in (("volume_low", self._volume.low), ("volume_high", self._volume.high)):
-            shaders.uniform(program, name).value = tuple(map(float, corner))
-
     def _fill(self, asset: MeasuredAsset) -> None:
         asset.bind()
         self._projection.bind_to_storage_buffer(6)
-        self._buffer.bind_to_storage_buffer(9)
+        self.buffer.bind_to_storage_buffer(9)
         self._program.run(-(-self.probes // _WORKGROUP))
         self._runtime.context.memory_barrier()
 
@@ -125,16 +146,15 @@ class Body:
 
     def __init__(
         self,
-        runtime: "Runtime",
+        context: moderngl.Context,
         mesh: Mesh,
         albedo: tuple[float, float, float],
-        light: ProbeLight,
+        light: ProbeBuffer,
         direct: shaders.Defines,
     ) -> None:
         if not len(mesh.faces):
             raise SceneError("a body that moves has no faces; give it a mesh")
         self.light, self._albedo = light, albedo
-        context = runtime.context
         attributes = {"in_position": mesh.triangles, "in_normal": np.repeat(mesh.normals[:, None], 3, axis=1)}
         buffers = {
             name: context.buffer(np.ascontiguousarray(values, "<f4").tobytes()) for name, values in attributes.items()

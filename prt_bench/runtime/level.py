@@ -3,8 +3,11 @@
 A frame is shadow maps, direct light at the blocks' samples, then for every bounce b, r and the light they stand for, which the
 next bounce reflects; the last is shown as one padded image (`modular.atlas`). Emitters are those of every runtime, points and
 spots as well as the points that larger lights are split into. Their shadow maps show the level's own mesh, so a light beyond a
-wall or round a corner lights nothing directly; between blocks light passes as reduced lightfields, without shadows.
+wall or round a corner lights nothing directly; between blocks light passes as reduced lightfields, without shadows. Where
+materials have normal images and the dictionary has vector irradiance, indirect light follows them, else it is that of the face.
 """
+
+from collections.abc import Sequence
 
 import moderngl
 import numpy as np
@@ -18,14 +21,16 @@ from prt_bench.modular.level import LevelTransfer
 from prt_bench.modular.rotations import INVERSE
 from prt_bench.points import SurfacePoints
 from prt_bench.runtime import shaders
+from prt_bench.runtime.bodies import Body
 from prt_bench.runtime.context import check, headless
 from prt_bench.runtime.draw import DrawPass, Screen
+from prt_bench.runtime.level_secondary import LevelProbes, Slopes
 from prt_bench.runtime.lights import UploadedLights, upload
 from prt_bench.runtime.measure import MeasurePass
 from prt_bench.runtime.mesh import MeshBuffers
 from prt_bench.runtime.projection import camera_matrix
 from prt_bench.runtime.shadow import ShadowPass, lighting_defines
-from prt_bench.scene import Camera, Scene
+from prt_bench.scene import Camera, Mesh, Scene
 
 _LANES = 256  # of a workgroup that sums
 _WORKGROUP = 64
@@ -71,12 +76,17 @@ class LevelRuntime:
         self.screen = Screen(self.context, size)
         self._drawn = mesh, defines
         self._passes: dict[tuple[bool, bool], DrawPass] = {}
-        self.atlas = self.context.texture_array((atlas.resolution, atlas.resolution, 1), 4, dtype="f4")
+        tilted = mesh.has_normals and transfer.dictionary.secondary is not None
+        self._slopes = Slopes(self.context, transfer) if tilted else None
+        self._tilted = {"TILTED": 1} if tilted else {}
+        layers = 4 if tilted else 1
+        self.atlas = self.context.texture_array((atlas.resolution, atlas.resolution, layers), 4, dtype="f4")
         self.atlas.repeat_x = self.atlas.repeat_y = False
         self._sources = self.context.buffer(atlas.source.astype("<i4").tobytes())
-        sizes = {"RESOLUTION": atlas.resolution, "WORKGROUP": _WORKGROUP}
+        sizes = {"RESOLUTION": atlas.resolution, "WORKGROUP": _WORKGROUP, **self._tilted}
         self._pad = shaders.compute(self.context, "level_atlas.comp", sizes)
         self._texels = atlas.resolution**2
+        self._level, self._transfer, self._edge = atlas.level, transfer, edge
         self.look_from(scene.camera)
         check(self.context, "loading a level")
 
@@ -131,7 +141,8 @@ class LevelRuntime:
             self._read, self._basis, self._response, self._pairs, self._pair_from, self._starts, self._block_rows, self._turns,
             self._albedo, self._light, self._coefficients, self._entered, self._sources,
         )  # fmt: skip
-        return sum(buffer.size for buffer in buffers) + 16 * self._texels
+        beside = 0 if self._slopes is None else self._slopes.bytes
+        return sum(buffer.size for buffer in buffers) + 16 * self._texels * self.atlas.layers + beside
 
     def look_from(self, camera: Camera) -> None:
         """Draw the following frames from another camera."""
@@ -160,13 +171,23 @@ class LevelRuntime:
 
     def respond(self) -> None:
         """Indirect light at the samples."""
-        self._bind({3: self._basis, 4: self._response, 5: self._coefficients, 6: self._block_rows})
-        self._bind({7: self._turns, 8: self._light, 9: self._entered})
+        self.bind_coefficients()
+        self._bind({3: self._basis, 4: self._response, 7: self._turns, 8: self._light})
         self._run("light", -(-self._samples // _WORKGROUP), self._blocks)
+
+    def bind_coefficients(self) -> None:
+        """Bind what blocks are, their b and the r of interfaces, for what turns these into light."""
+        self._bind({5: self._coefficients, 6: self._block_rows, 9: self._entered})
+
+    def tilt(self) -> None:
+        """How the indirect light changes with the normal, where that matters."""
+        if self._slopes is not None:
+            self.bind_coefficients()
+            self._slopes.run()
 
     def pad(self) -> None:
         """The image of the indirect light."""
-        self._bind({6: self._sources, 8: self._light})
+        self._bind({6: self._sources, 8: self._light} | ({9: self._slopes.buffer} if self._slopes else {}))
         self.atlas.bind_to_image(0, read=False, write=True)
         self._pad.run(-(-self._texels // _WORKGROUP))
         self.context.memory_barrier()
@@ -177,14 +198,32 @@ class LevelRuntime:
             self.read()
             self.arrive()
             self.respond()
+        self.tilt()
         self.pad()
 
-    def shade(self, lights: UploadedLights, direct: bool = True, indirect: bool = True, exposure: float = 0.0) -> None:
-        """The draw pass and the tone map, with shadow maps and image as they are."""
+    def probes(self) -> LevelProbes:
+        """The irradiance volume of the level, for bodies. Raises `SpecError` for a dictionary that has no volumes."""
+        return LevelProbes(self, self._level, self._transfer, self._edge)
+
+    def body(self, mesh: Mesh, albedo: tuple[float, float, float], light: LevelProbes) -> Body:
+        """Upload a diffuse mesh that moves, lit by `light` and directly; give it to frames. See `Body`."""
+        return Body(self.context, mesh, albedo, light, {**self._drawn[1], "DIRECT": 1})
+
+    def shade(
+        self,
+        lights: UploadedLights,
+        direct: bool = True,
+        indirect: bool = True,
+        exposure: float = 0.0,
+        bodies: Sequence[Body] = (),
+    ) -> None:
+        """The draw pass and the tone map, with shadow maps, image and probes as they are."""
         lights.bind()
         self.shadows.bind()
         self.atlas.use(1)
         self._pass(direct, indirect).run(self.screen, self._camera, lights)
+        for body in bodies:
+            body.draw(self._camera, direct, indirect)
         self.screen.tone_map(exposure)
 
     def draw(
@@ -194,6 +233,7 @@ class LevelRuntime:
         direct: bool = True,
         indirect: bool = True,
         exposure: float = 0.0,
+        bodies: Sequence[Body] = (),
     ) -> None:
         """All passes of one frame. Raises `ValueError` for one with neither direct nor indirect light."""
         if not direct and not indirect:
@@ -202,21 +242,34 @@ class LevelRuntime:
         if indirect:
             self.measure(lights)
             self.bounce(bounces)
-        self.shade(lights, direct, indirect, exposure)
+            for probes in {id(body.light): body.light for body in bodies}.values():
+                probes.prepare(lights)
+        self.shade(lights, direct, indirect, exposure, bodies)
 
     def frame(
-        self, lighting: Lighting, bounces: int = 1, direct: bool = True, indirect: bool = True
+        self,
+        lighting: Lighting,
+        bounces: int = 1,
+        direct: bool = True,
+        indirect: bool = True,
+        bodies: Sequence[Body] = (),
     ) -> Float[np.ndarray, "H W 3"]:
-        """Radiance of a frame [H, W, 3], top row first, W/m²/sr."""
-        self.draw(self.light(lighting), bounces, direct, indirect)
+        """Radiance of a frame [H, W, 3], top row first, W/m²/sr; `bodies` are drawn in it, lit by their probes."""
+        self.draw(self.light(lighting), bounces, direct, indirect, bodies=bodies)
         check(self.context, "drawing a frame of a level")
         return self.screen.read_linear()
 
     def picture(
-        self, lighting: Lighting, bounces: int = 1, direct: bool = True, indirect: bool = True, exposure: float = 0.0
+        self,
+        lighting: Lighting,
+        bounces: int = 1,
+        direct: bool = True,
+        indirect: bool = True,
+        exposure: float = 0.0,
+        bodies: Sequence[Body] = (),
     ) -> np.ndarray:
         """A frame tone-mapped on the GPU: 8-bit sRGB [H, W, 3] of radiance · 2^exposure, top row first."""
-        self.draw(self.light(lighting), bounces, direct, indirect, exposure)
+        self.draw(self.light(lighting), bounces, direct, indirect, exposure, bodies)
         check(self.context, "drawing a picture of a level")
         return self.screen.read_picture()
 
@@ -231,6 +284,18 @@ class LevelRuntime:
         shape = self._blocks, self._samples, 3
         return self.measurement.read().reshape(shape), light.reshape(shape).copy()
 
+    def slopes(self) -> Float[np.ndarray, "N n 3 3"]:
+        """How the indirect light changes with the normal, as `modular.level_secondary.slope` has it.
+
+        Raises `AssetError` where it is not computed: without normal images, or without a `Secondary`.
+        """
+        if self._slopes is None:
+            raise AssetError(
+                "this level has no vector irradiance; give it normal images, and build its dictionary with secondary"
+            )
+        found = np.frombuffer(self._slopes.buffer.read(), "<f4")
+        return found.reshape(self._blocks, self._samples, 3, 4)[..., :3].copy()
+
     def image(self) -> Float[np.ndarray, "H W 3"]:
         """The padded image of the indirect light, row 0 at v = 0."""
         side = self.atlas.size[0]
@@ -241,7 +306,7 @@ class LevelRuntime:
         if (direct, indirect) not in self._passes:
             mesh, defines = self._drawn
             parts = {"DIRECT": 1} if direct else {}
-            parts |= {"INDIRECT": 1, "RECONSTRUCT_LIGHTMAP": 1} if indirect else {}
+            parts |= {"INDIRECT": 1, "RECONSTRUCT_LIGHTMAP": 1, **self._tilted} if indirect else {}
             self._passes[direct, indirect] = DrawPass(self.context, mesh, {**defines, **parts})
         return self._passes[direct, indirect]
 

@@ -111,7 +111,7 @@ class Runtime:
 
     def body(self, mesh: Mesh, albedo: tuple[float, float, float], light: ProbeLight) -> Body:
         """Upload a diffuse mesh that moves, lit by `light` and directly; give it to frames. See `Body`."""
-        return Body(self, mesh, albedo, light, {**self._lighting_defines, "DIRECT": 1})
+        return Body(self.context, mesh, albedo, light, {**self._lighting_defines, "DIRECT": 1})
 
     def measure(self, lighting: Lighting | UploadedLights) -> Float[np.ndarray, "M 3"]:
         """The measured vector of a lighting, with shadow maps, W/m²."""
