@@ -99,3 +99,13 @@ def test_enrichment_skips_what_is_dark_and_refuses_what_is_not_finite():
         enriched([np.zeros((60, 3))], 8)
     with pytest.raises(FitError, match="finite"):
         enriched([np.full((60, 3), np.nan)], 8)
+
+
+def test_rays_about_slanted_normals_are_unit_and_cosine_distributed():
+    """The second moment of directions with density cos / π about n is (1 + n nᵀ) / 4."""
+    normal = np.random.default_rng(0).standard_normal((20, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    rays = cosine_rays(normal, 64)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=2), 1.0, rtol=1e-12)
+    moment = np.einsum("nri,nrj->nij", rays, rays) / rays.shape[1]
+    np.testing.assert_allclose(moment, 0.25 * (np.eye(3) + normal[:, :, None] * normal[:, None]), atol=1e-3)
