@@ -92,7 +92,7 @@ def cosine_rays(normal: Float[np.ndarray, "n 3"], across: int) -> Float[np.ndarr
 
 
 def frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Two unit vectors across each unit normal, right-handed with it, and the normal: as rows. They are axes where it is one."""
+    """Two unit vectors across each unit normal, right-handed with it, and the normal, as rows; axes where that is one."""
     first = np.eye(3)[(np.argmax(np.abs(normal), axis=1) + 1) % 3]
     first -= np.sum(first * normal, axis=1, keepdims=True) * normal
     first /= np.linalg.norm(first, axis=1, keepdims=True)
