@@ -54,7 +54,7 @@ def propagation(way: str, grid: Grid) -> csr_array:
     origin, direction = _leaving(way, grid)
     rays = direction.shape[1]
     met = meet(np.repeat(origin, rays, axis=0), -direction.reshape(-1, 3))
-    return looked_up(met, direction.reshape(-1, 3), np.repeat(np.arange(grid.size), rays), grid, grid.size) / rays
+    return at_entrance(met, direction.reshape(-1, 3), np.repeat(np.arange(grid.size), rays), grid, grid.size) / rays
 
 
 def response(side: int, grid: Grid, across: int = 64) -> csr_array:
@@ -67,7 +67,7 @@ def response(side: int, grid: Grid, across: int = 64) -> csr_array:
         direction = cosine_rays(normal[rows], across).reshape(-1, 3)
         owner = np.repeat(np.arange(len(position[rows])), rays)
         met = meet(np.repeat(position[rows], rays, axis=0), direction)
-        parts.append(looked_up(met, -direction, owner, grid, len(position[rows])))
+        parts.append(at_entrance(met, -direction, owner, grid, len(position[rows])))
     return csr_array(vstack(parts)) * (np.pi / rays)
 
 
@@ -89,28 +89,44 @@ def _leaving(way: str, grid: Grid) -> tuple[Float[np.ndarray, "s 3"], Float[np.n
     middles = (np.arange(grid.places) + 0.5) / grid.places - 0.5
     t, s = (part.reshape(-1, 1) for part in np.meshgrid(middles, middles, indexing="ij"))
     origin = 0.5 * along + s * right + t * up
-    cells = (np.arange(grid.turns * _FINE) + 0.5) / (grid.turns * _FINE)
-    b, a = (part.reshape(grid.turns, _FINE, grid.turns, _FINE) for part in np.meshgrid(cells, cells, indexing="ij"))
-    a, b = (part.transpose(0, 2, 1, 3).reshape(grid.turns**2, _FINE**2, 1) for part in (a, b))
-    x, y = disk(a, b)
-    direction = x * right + y * up + np.sqrt(np.maximum(0.0, 1.0 - x * x - y * y)) * along
+    direction = directions(grid) @ np.stack([right, up, along])
     return np.repeat(origin, grid.turns**2, axis=0), np.tile(direction, (grid.places**2, 1, 1))
 
 
-def looked_up(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray, grid: Grid, rows: int) -> csr_array:
-    """Interpolation in the lightfield at the entrance for rays that meet it, summed over the rays of each row."""
+def directions(grid: Grid) -> Float[np.ndarray, "t R 3"]:
+    """`_FINE`² directions within each part of the hemisphere, to the right, up and along."""
+    cells = (np.arange(grid.turns * _FINE) + 0.5) / (grid.turns * _FINE)
+    b, a = (part.reshape(grid.turns, _FINE, grid.turns, _FINE) for part in np.meshgrid(cells, cells, indexing="ij"))
+    x, y = disk(*(part.transpose(0, 2, 1, 3).reshape(grid.turns**2, _FINE**2) for part in (a, b)))
+    return np.stack([x, y, np.sqrt(np.maximum(0.0, 1.0 - x * x - y * y))], axis=2)
+
+
+def at_entrance(met: Met, direction: Float[np.ndarray, "n 3"], owner: np.ndarray, grid: Grid, rows: int) -> csr_array:
+    """`looked_up` at the entrance for the rays that meet it."""
     through = np.flatnonzero(met.face == _ENTRANCE)
     right, up, _ = _frame(EXITS["straight"])
     # Fractions of face −x are along y and z, which are up and right.
-    where = Met(np.zeros(len(through), int), met.v[through], met.u[through])
-    towards = direction[through]
-    a, b = square(towards @ right, towards @ up)
-    place_at, place_weight = bilinear(where, grid.places)
-    turn_at, turn_weight = bilinear(Met(where.face, a, b), grid.turns)
+    where, towards = (met.v[through], met.u[through]), direction[through]
+    return looked_up(where, (towards @ right, towards @ up), owner[through], grid, rows)
+
+
+def looked_up(
+    where: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    towards: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    owner: Int[np.ndarray, " n"],
+    grid: Grid,
+    rows: int,
+) -> csr_array:
+    """Interpolation in a lightfield, summed over the rays of each row: [rows, s].
+
+    Rays pass the interface at fractions to the right and up, along directions with these parts to the right and up.
+    """
+    none = np.zeros(len(owner), int)
+    place_at, place_weight = bilinear(Met(none, *where), grid.places)
+    turn_at, turn_weight = bilinear(Met(none, *square(*towards)), grid.turns)
     columns = place_at[:, :, None] * grid.turns**2 + turn_at[:, None, :]
     weights = place_weight[:, :, None] * turn_weight[:, None, :]
-    index = np.repeat(owner[through], 16)
-    table = csr_array((weights.ravel(), (index, columns.ravel())), shape=(rows, grid.size))
+    table = csr_array((weights.ravel(), (np.repeat(owner, 16), columns.ravel())), shape=(rows, grid.size))
     table.sum_duplicates()
     return table
 

@@ -22,7 +22,8 @@ from prt_bench.modular.cube import FACES, inward, one_bounce, sample_points
 
 RADIUS = 0.05
 """Of the sphere lights of the prior, in edges of the cube."""
-_SHARE_OUTSIDE = 4  # one light beyond a missing face for so many within
+SHARE_OUTSIDE = 4
+"""One light beyond a missing face for so many within."""
 _COLUMNS = 64
 _FLOOR = 1e-9  # singular values below this share of the largest are rounding
 
@@ -69,13 +70,18 @@ def direct_light(side: int, missing: Sequence[int], lights: int) -> Float[np.nda
 @cache
 def _all_light(side: int, lights: int) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "6 n o"]]:
     """Light by the spheres within a closed cube, and by those in the cube behind each of its faces were that missing."""
-    within = (1.0 - 2.0 * RADIUS) * (_spread(lights) - 0.5)
-    behind = within[::_SHARE_OUTSIDE] - inward(np.arange(FACES))[:, None]
-    position, normal = (jnp.asarray(part) for part in sample_points(side))
-    places = np.concatenate([within, *behind])
-    batch = emitters([Lighting([SphereLight(place, RADIUS, jnp.ones(3))]) for place in places])
-    light = np.asarray(_from_each(batch, position, normal), np.float64).T
+    within = (1.0 - 2.0 * RADIUS) * (spread(lights) - 0.5)
+    behind = within[::SHARE_OUTSIDE] - inward(np.arange(FACES))[:, None]
+    light = sphere_light(np.concatenate([within, *behind]), *sample_points(side))
     return light[:, :lights], light[:, lights:].reshape(len(light), FACES, -1).swapaxes(0, 1)
+
+
+def sphere_light(
+    place: Float[np.ndarray, "m 3"], position: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n m"]:
+    """Irradiance by a sphere light at each place, with nothing between."""
+    batch = emitters([Lighting([SphereLight(each, RADIUS, jnp.ones(3))]) for each in place])
+    return np.asarray(_from_each(batch, jnp.asarray(position), jnp.asarray(normal)), np.float64).T
 
 
 @jax.jit
@@ -83,7 +89,7 @@ def _from_each(batch: Emitters, position: Array, normal: Array) -> Float[Array, 
     return jax.lax.map(lambda each: irradiance(each, position, normal)[:, 0], batch)
 
 
-def _spread(count: int) -> Float[np.ndarray, "m 3"]:
+def spread(count: int) -> Float[np.ndarray, "m 3"]:
     """Evenly spread points in the unit cube: multiples of the powers of the root of x⁴ = x + 1, without their whole parts."""
     root = 1.2207440846057596
     return np.mod(0.5 + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, 4.0), 1.0)
@@ -122,6 +128,17 @@ def reduced(side: int, missing: Sequence[int], functions: int = 32, prior: int =
     constants = (np.repeat(np.eye(FACES), side * side, axis=0) * here[:, None])[
         :, np.setdiff1d(np.arange(FACES), missing)
     ]
+    return refined(transport, light, constants, functions, prior)
+
+
+def refined(
+    transport: Float[np.ndarray, "n n"],
+    light: Float[np.ndarray, "n m"],
+    constants: Float[np.ndarray, "n c"],
+    functions: int,
+    prior: int,
+) -> Modes:
+    """The modes of a symmetric operator under this light, enriched by the constants and by the indirect light it causes."""
     first = _modes(transport, *enriched([light], prior), functions)
     bounced = first.basis * first.decay[: first.basis.shape[1]]
     return _modes(transport, *enriched([light, constants, bounced * here[:, None]], prior), functions)

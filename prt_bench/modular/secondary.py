@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, vstack
 
 from prt_bench.irradiance_volume import ORDER, places
 from prt_bench.modular.cube import disk, frames, interpolation, meet, sample_points
-from prt_bench.modular.lightfield import Grid, looked_up
+from prt_bench.modular.lightfield import Grid, at_entrance
 from prt_bench.spherical.harmonics import bands, evaluate
 from prt_bench.spherical.zonal import cosine_lobe
 
@@ -77,7 +77,7 @@ def from_faces(side: int) -> Table:
 
 def from_entrance(grid: Grid) -> Table:
     """Radiance of a lightfield that enters through −x, as rays from within see it; 0 for those that meet other faces."""
-    return lambda origin, direction: looked_up(
+    return lambda origin, direction: at_entrance(
         meet(origin, direction), -direction, np.arange(len(origin)), grid, len(origin)
     )
 
