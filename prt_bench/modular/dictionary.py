@@ -48,15 +48,55 @@ _LEAST_SIDE = 4
 _SECONDARY = "secondary."  # before names of its arrays in the file
 
 
-class Dictionary(eqx.Module):
+class Operators(eqx.Module):
+    """What a run-time needs of a dictionary: for all entries K, functions B and R of what arrives; kept as one file.
+
+    `basis` [K, n, B] and `read` [K, B, n] as in `modes.Modes`, `arriving` [n, R] from what arrives to light on the samples.
+    `secondary` is for normal maps and for bodies in the air, where these were asked for.
+    """
+
+    basis: eqx.AbstractVar[Float[Array, "K n B"]]
+    read: eqx.AbstractVar[Float[Array, "K B n"]]
+    arriving: eqx.AbstractVar[Float[Array, "n R"]]
+    secondary: eqx.AbstractVar[Secondary | None]
+
+    @property
+    def bytes(self) -> int:
+        """Of all arrays."""
+        return sum(array.nbytes for array in self._arrays().values())
+
+    def save(self, path: Path) -> Path:
+        """Write the dictionary as safetensors; a file that is there is replaced in one step."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(path.name + ".partial")
+        arrays = {name: np.asarray(array) for name, array in self._arrays().items()}
+        save_file(arrays, partial, {"dictionary": json.dumps({"version": VERSION})})
+        return partial.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read what `save` wrote. Raises `FitError` where the file holds no such dictionary."""
+        try:
+            arrays = {name: jnp.asarray(array) for name, array in load_file(path).items()}
+            beside = {name: arrays.pop(_SECONDARY + name) for name in _names(Secondary) if _SECONDARY + name in arrays}
+            return cls(**arrays, secondary=Secondary(**beside) if beside else None)
+        except Exception as reason:
+            raise FitError(f"{path} holds no dictionary of blocks ({reason}); build it anew") from reason
+
+    def _arrays(self) -> dict[str, Array]:
+        own = {name: getattr(self, name) for name in _names(type(self)) if name != "secondary"}
+        beside = self.secondary
+        return own | ({_SECONDARY + name: getattr(beside, name) for name in _names(Secondary)} if beside else {})
+
+
+class Dictionary(Operators):
     """Reduced operators of all entries K, for B functions within a block, k of lightfields, R of what arrives.
 
     `basis` [K, n, B], `read` [K, B, n] and `prior` [K, n, p] as in `modes.Modes`; `leave` [D, k, B] from coefficients of a
     block to the lightfield that leaves through each of `DOORS`, in the frame of that face. For light that enters through −x,
     `onwards` [w, k, k] to that which leaves straight on, to the left and, in a flat dictionary, to the right; `arrive` [R, k]
     and `arriving` [n, R] to irradiance on the samples, `arriving` orthonormal. In three dimensions `roll` [1, k, k] turns a
-    lightfield by a quarter about its direction, and is orthogonal; in a flat dictionary it is [0, k, k]. `secondary` is for
-    normal maps and for bodies in the air, where these were asked for.
+    lightfield by a quarter about its direction, and is orthogonal; in a flat dictionary it is [0, k, k].
     """
 
     basis: Float[Array, "K n B"]
@@ -78,34 +118,6 @@ class Dictionary(eqx.Module):
     def dimension(self) -> int:
         """3 where light may go up and down, else 2."""
         return 2 + len(self.roll)
-
-    @property
-    def bytes(self) -> int:
-        """Of all arrays."""
-        return sum(array.nbytes for array in self._arrays().values())
-
-    def save(self, path: Path) -> Path:
-        """Write the dictionary as safetensors; a file that is there is replaced in one step."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(path.name + ".partial")
-        arrays = {name: np.asarray(array) for name, array in self._arrays().items()}
-        save_file(arrays, partial, {"dictionary": json.dumps({"version": VERSION})})
-        return partial.replace(path)
-
-    @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read what `save` wrote. Raises `FitError` where the file holds no dictionary."""
-        try:
-            arrays = {name: jnp.asarray(array) for name, array in load_file(path).items()}
-            beside = {name: arrays.pop(_SECONDARY + name) for name in _names(Secondary) if _SECONDARY + name in arrays}
-            return cls(**arrays, secondary=Secondary(**beside) if beside else None)
-        except Exception as reason:
-            raise FitError(f"{path} holds no dictionary of blocks ({reason}); build it anew") from reason
-
-    def _arrays(self) -> dict[str, Array]:
-        own = {name: getattr(self, name) for name in _names(type(self)) if name != "secondary"}
-        beside = self.secondary
-        return own | ({_SECONDARY + name: getattr(beside, name) for name in _names(Secondary)} if beside else {})
 
 
 def build(

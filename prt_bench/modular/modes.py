@@ -138,10 +138,11 @@ def refined(
     functions: int,
     prior: int,
 ) -> Modes:
-    """The modes of a symmetric operator under this light, enriched by the constants and by the indirect light it causes."""
+    """The modes of an operator under this light, enriched by the constants and by the indirect light it causes on what sends."""
+    sends = np.any(transport != 0, axis=0)
     first = _modes(transport, *enriched([light], prior), functions)
     bounced = first.basis * first.decay[: first.basis.shape[1]]
-    return _modes(transport, *enriched([light, constants, bounced * here[:, None]], prior), functions)
+    return _modes(transport, *enriched([light, constants, bounced * sends[:, None]], prior), functions)
 
 
 def _modes(transport: np.ndarray, basis: np.ndarray, weights: np.ndarray, functions: int) -> Modes:
