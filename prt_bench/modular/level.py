@@ -1,7 +1,7 @@
 """Levels: blocks on a grid, which are open to their neighbours unless a wall stands between, and the light in them.
 
 Connectivity alone decides how light passes from block to block: breadth first from every block, its lightfields are carried
-through interfaces to a depth, and summed for each block and interface it enters: T, a sparse matrix of blocks [R, B].
+through interfaces to a depth, and summed for each block and interface it enters (`carried`): T, a sparse matrix of blocks.
 """
 
 import tomllib
@@ -17,8 +17,9 @@ from jaxtyping import Array, Float, Int
 from scipy.sparse import csr_array
 
 from prt_bench.errors import SpecError
+from prt_bench.modular.carried import carried
 from prt_bench.modular.cube import FACES, Met, bilinear, sample_points
-from prt_bench.modular.dictionary import Dictionary, entry_of
+from prt_bench.modular.dictionary import Dictionary, Operators, entry_of
 from prt_bench.modular.passages import Passages
 from prt_bench.modular.rotations import INVERSE, turns
 
@@ -189,7 +190,7 @@ class LevelTransfer(eqx.Module):
     the block that each `enters`, and `along`, the face towards which its light goes, which is the pose of what it lights.
     """
 
-    dictionary: Dictionary
+    dictionary: Operators
     kind: Int[Array, " N"]
     pose: Int[Array, " N"]
     turns: Int[Array, "24 n"]
@@ -236,70 +237,43 @@ class LevelTransfer(eqx.Module):
         return b, r
 
 
-Entering = dict[tuple[int, int], Float[np.ndarray, "_ B"]]
-"""What enters each block along each direction, from b of one source."""
-
-
-def _carried(front: Entering, doors: list[dict[int, int]], passages: Passages, depth: int) -> Entering:
-    """What arrives by each interface of lightfields that enter, after up to `depth` interfaces: the sum over all paths."""
-    summed: Entering = {}
-    for _ in range(depth):
-        following: Entering = {}
-        for (block, along), light in front.items():
-            summed[block, along] = summed.get((block, along), 0.0) + passages.arrive @ light
-            for exit_, beyond in doors[block].items():
-                if exit_ != along ^ 1:  # straight rays do not come back through where they enter
-                    passed = passages.onwards(along, exit_) @ light
-                    following[beyond, exit_] = following.get((beyond, exit_), 0.0) + passed
-        front = following
-    return summed
-
-
 def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: float = 1e-3) -> LevelTransfer:
     """Carry every block's lightfields through up to `depth` interfaces, and set up the operators of the level.
 
     Of the pairs of one source the weakest are left out, as many as together hold `tolerance`² of the squares of all. Raises
     `SpecError` for a dictionary of flat levels where light goes up or down.
     """
-    if depth < 1:
-        raise SpecError(f"light in a level passes through at least 1 interface, not {depth}")
-    if not 0 <= tolerance < 1:
-        raise SpecError(f"the tolerance of a level's pairs is from 0 to below 1, not {tolerance}")
     if level.dimension > dictionary.dimension:
         raise SpecError(
             "light goes up or down in a level whose dictionary is of flat levels; take one of `dimension=3`"
         )
     doors, passages = level.open, Passages(dictionary)
     entries = [entry_of(faces) for faces in doors]
-    interfaces: dict[tuple[int, int], int] = {}  # (block, direction of the light that enters it)
-    for faces in doors:
-        for face, other in faces.items():
-            interfaces[other, face] = len(interfaces)
-    to, from_, pairs = [], [], []
-    for source, faces in enumerate(doors):
-        if len(faces) == FACES:
-            continue  # no surface, no light of its own
-        front = {(other, face): passages.leaving(*entries[source], face) for face, other in faces.items()}
-        summed = _carried(front, doors, passages, depth)
-        squares = {key: float(np.sum(matrix**2)) for key, matrix in summed.items()}
-        spare = tolerance**2 * sum(squares.values())
-        for key in sorted(summed, key=squares.__getitem__):
-            spare -= squares[key]
-            if spare < 0:
-                to.append(interfaces[key])
-                from_.append(source)
-                pairs.append(summed[key])
-    order = np.argsort(np.array(to, int), kind="stable")
-    stacked = np.stack(pairs)[order] if pairs else np.zeros((0, len(passages.arrive), dictionary.basis.shape[2]))
+    # An interface is the block that it enters and the face towards which its light goes.
+    interfaces = [(other, face) for faces in doors for face, other in faces.items()]
+    leaving = [
+        {(other, face): passages.leaving(*entry, face) for face, other in faces.items()} if len(faces) < FACES else {}
+        for entry, faces in zip(entries, doors, strict=True)
+    ]  # without a surface no light of its own
+    onwards = {
+        (block, along): [
+            ((beyond, exit_), passages.onwards(along, exit_))
+            for exit_, beyond in doors[block].items()
+            if exit_ != along ^ 1  # straight rays do not come back through where they enter
+        ]
+        for block, along in interfaces
+    }
+    shape = len(passages.arrive), dictionary.basis.shape[2]
+    found = carried(leaving, onwards, dict.fromkeys(interfaces, passages.arrive), shape, depth, tolerance)
     here = np.array([[face not in faces for face in range(FACES)] for faces in doors])
     return LevelTransfer(
         dictionary,
         jnp.array([kind for kind, _ in entries]),
         jnp.array([pose for _, pose in entries]),
         jnp.array(turns(dictionary.side)),
-        jnp.asarray(stacked, jnp.float32),
-        jnp.array(np.array(to, int)[order], jnp.int32),
-        jnp.array(np.array(from_, int)[order], jnp.int32),
+        jnp.asarray(found.pairs, jnp.float32),
+        jnp.asarray(found.to, jnp.int32),
+        jnp.asarray(found.source, jnp.int32),
         jnp.array([block for block, _ in interfaces], jnp.int32),
         jnp.array([along for _, along in interfaces], jnp.int32),
         jnp.asarray(np.repeat(here, dictionary.side**2, axis=1), jnp.float32),

@@ -138,7 +138,7 @@ def refined(
     functions: int,
     prior: int,
 ) -> Modes:
-    """The modes of an operator under this light, enriched by the constants and by the indirect light it causes on what sends."""
+    """The modes of an operator under this light, enriched by constants and by the indirect light it causes on what sends."""
     sends = np.any(transport != 0, axis=0)
     first = _modes(transport, *enriched([light], prior), functions)
     bounced = first.basis * first.decay[: first.basis.shape[1]]
