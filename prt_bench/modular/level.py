@@ -185,15 +185,16 @@ def read_level(path: Path, others: tuple[str, ...] = ()) -> tuple[Level, dict[st
 class LevelTransfer(eqx.Module):
     """Indirect light of a level from the radiosity of its blocks' samples; differentiable in that and in all matrices.
 
-    Blocks N, each the entry `kind` of the dictionary in one of the 24 poses of `rotations`: `pose`, with the samples `turns`
-    [24, n] of each. E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with
+    Blocks N, each the entry `kind` of the dictionary in a `pose`, which `back` undoes; `turns` [P, n] has the samples in all P
+    poses, in a level of cubes the 24 of `rotations`. E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with
     the block that each `enters`, and `along`, the face towards which its light goes, which is the pose of what it lights.
     """
 
     dictionary: Operators
     kind: Int[Array, " N"]
     pose: Int[Array, " N"]
-    turns: Int[Array, "24 n"]
+    back: Int[Array, " N"]
+    turns: Int[Array, "P n"]
     pairs: Float[Array, "E R B"]
     pair_to: Int[Array, " E"]
     pair_from: Int[Array, " E"]
@@ -203,7 +204,7 @@ class LevelTransfer(eqx.Module):
 
     def coefficients(self, radiosity: Float[Array, "N n C"]) -> Float[Array, "N B C"]:
         """b of every block."""
-        turned = jnp.take_along_axis(radiosity, self.turns[jnp.asarray(INVERSE)[self.pose]][:, :, None], axis=1)
+        turned = jnp.take_along_axis(radiosity, self.turns[self.back][:, :, None], axis=1)
         return jnp.einsum("nbs,nsc->nbc", self.dictionary.read[self.kind], turned, precision="highest")
 
     def arriving(self, b: Float[Array, "N B C"]) -> Float[Array, "I R C"]:
@@ -270,6 +271,7 @@ def transfer(level: Level, dictionary: Dictionary, depth: int = 8, tolerance: fl
         dictionary,
         jnp.array([kind for kind, _ in entries]),
         jnp.array([pose for _, pose in entries]),
+        jnp.array([INVERSE[pose] for _, pose in entries]),
         jnp.array(turns(dictionary.side)),
         jnp.asarray(found.pairs, jnp.float32),
         jnp.asarray(found.to, jnp.int32),

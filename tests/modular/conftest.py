@@ -1,4 +1,4 @@
-"""A small dictionary of blocks, built once; and one of any numbers, where it does not matter what they are."""
+"""A small dictionary of blocks and one of pipes, built once; and one of any numbers, where it does not matter what they are."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +7,8 @@ import pytest
 from prt_bench.modular.cube import FACES
 from prt_bench.modular.dictionary import DOORS, KINDS, Dictionary, build
 from prt_bench.modular.lightfield import Grid
+from prt_bench.modular.pipe_dictionary import PipeDictionary
+from prt_bench.modular.pipe_dictionary import build as build_pipes
 
 SIDE, GRID = 8, Grid(8, 14)
 
@@ -37,3 +39,8 @@ def any_dictionary() -> Dictionary:
         (n, 12),
     )
     return Dictionary(*(jnp.asarray(random.random(shape) / shape[-1], jnp.float32) for shape in shapes))
+
+
+@pytest.fixture(scope="session")
+def pipes() -> PipeDictionary:
+    return build_pipes(16, functions=24, prior=48, lights=40, grid=Grid(6, 10), lightfields=48, arriving=24)
