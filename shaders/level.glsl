@@ -1,12 +1,12 @@
-// Blocks of a level, and the order of their samples after each rotation.
+// Blocks of a level, and the order of their samples in each pose.
 struct Block {
-    ivec4 kind;    // entry of the dictionary, rotation, bits of the faces that are there, inverse of the rotation
-    int doors[8];  // the interface that light towards each of the six faces enters by, −1 for none
+    ivec4 kind;    // entry of the dictionary, pose, bits of the faces that are there, the pose that undoes it
+    int doors[8];  // the interface that light in each of six poses enters by (in a cube, towards its faces), −1 for none
 };
 
 layout(std430, binding = 6) readonly buffer Blocks { Block blocks[]; };
-layout(std430, binding = 7) readonly buffer Turns { int turns[]; };  // [rotation, sample]
+layout(std430, binding = 7) readonly buffer Turns { int turns[]; };  // [pose, sample]
 
-const int FACES = 6;
+const int DOORS = 6;
 
-uint turned(int rotation, uint s) { return uint(turns[uint(rotation) * SAMPLES + s]); }
+uint turned(int pose, uint s) { return uint(turns[uint(pose) * SAMPLES + s]); }

@@ -16,13 +16,13 @@ void main() {
     if (s >= SAMPLES) return;
     Block block = blocks[at];
     vec3 sum = vec3(0.0);
-    if ((block.kind.z >> (s / (SAMPLES / 6u)) & 1) != 0) {
+    if ((block.kind.z >> (s / (SAMPLES / uint(FACES))) & 1) != 0) {
         uint column = uint(block.kind.x) * BASIS * SAMPLES + turned(block.kind.y, s);
         for (uint k = 0u; k < BASIS; ++k) sum += basis[column + k * SAMPLES] * coefficients[at * BASIS + k].rgb;
-        for (int face = 0; face < FACES; ++face) {
-            if (block.doors[face] < 0) continue;
-            uint source = uint(block.doors[face]) * ARRIVING;
-            column = turned(face, s);  // the rotation that takes +x to that face
+        for (int pose = 0; pose < DOORS; ++pose) {
+            if (block.doors[pose] < 0) continue;
+            uint source = uint(block.doors[pose]) * ARRIVING;
+            column = turned(pose, s);  // what enters stands as its light goes
             for (uint k = 0u; k < ARRIVING; ++k) sum += arriving[column + k * SAMPLES] * entered[source + k].rgb;
         }
     }

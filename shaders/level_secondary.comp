@@ -43,15 +43,15 @@ void main() {
             for (uint j = 0u; j < NUMBERS; ++j) parts[j] += own[row + k * SAMPLES * NUMBERS + j] * b;
         }
         add(block.kind.y, parts);
-        for (int face = 0; face < FACES; ++face) {
-            if (block.doors[face] < 0) continue;
+        for (int pose = 0; pose < DOORS; ++pose) {
+            if (block.doors[pose] < 0) continue;
             for (uint j = 0u; j < NUMBERS; ++j) parts[j] = vec3(0.0);
-            row = NUMBERS * turned(face, s);
+            row = NUMBERS * turned(pose, s);
             for (uint k = 0u; k < ARRIVING; ++k) {
-                vec3 r = entered[uint(block.doors[face]) * ARRIVING + k].rgb;
+                vec3 r = entered[uint(block.doors[pose]) * ARRIVING + k].rgb;
                 for (uint j = 0u; j < NUMBERS; ++j) parts[j] += arriving[row + k * SAMPLES * NUMBERS + j] * r;
             }
-            add(face, parts);
+            add(pose, parts);
         }
     }
 #ifdef PROBES

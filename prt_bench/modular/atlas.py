@@ -8,6 +8,7 @@ stands for it, as in `cube.bilinear`. Where a wall ends, the texel at its foot f
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,6 +16,7 @@ from jaxtyping import Float, Int
 from prt_bench.errors import SpecError
 from prt_bench.modular.cube import FACES
 from prt_bench.modular.level import Level
+from prt_bench.modular.tiles import Tiles
 from prt_bench.points import Lightmap
 from prt_bench.scene import Mesh
 
@@ -23,21 +25,22 @@ _BEYOND = 0.05
 
 
 @dataclass(frozen=True)
-class LevelAtlas:
+class LevelAtlas(Tiles):
     """Tiles of `level` with `side`² samples, row by row in the order of `Level.surfaces`."""
 
     level: Level
     side: int
+    faces: ClassVar[int] = FACES
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of the level."""
+        return len(self.level.cells)
 
     @cached_property
     def across(self) -> int:
         """Tiles along a side of the image."""
         return int(np.ceil(np.sqrt(len(self._tile))))
-
-    @property
-    def resolution(self) -> int:
-        """Texels along a side of the image."""
-        return self.across * (self.side + 2)
 
     @cached_property
     def _tile(self) -> dict[tuple[int, int], int]:

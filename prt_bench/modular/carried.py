@@ -45,11 +45,12 @@ def carried(
     number = {key: at for at, key in enumerate(arrive)}
     to, from_, pairs = [], [], []
     for source, first in enumerate(leaving):
-        front, summed = dict(first), {}
+        front: dict[Key, np.ndarray] = dict(first)
+        summed: dict[Key, np.ndarray] = {}
         for _ in range(depth):
-            following: dict = defaultdict(float)
+            following: dict[Key, np.ndarray] = defaultdict(lambda: np.zeros(()))
             for key, light in front.items():
-                summed[key] = summed.get(key, 0.0) + arrive[key] @ light
+                summed[key] = summed.get(key, np.zeros(())) + arrive[key] @ light
                 for after, way in onwards[key]:
                     following[after] = following[after] + way @ light
             front = following

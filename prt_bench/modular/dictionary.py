@@ -151,20 +151,20 @@ def build(
     ways = [propagation(way, grid) for way in ways_of(dimension)]
     fields, weighted = _leaving(entries, side, grid)
     span = spanning(np.concatenate(weighted, axis=1), ways, lightfields, roll)
-    leave = [_filled(span.T @ field, functions) for field in fields]
+    leave = [filled(span.T @ field, functions) for field in fields]
     onwards = [contracted(span.T @ (way @ span)) for way in track(ways, "interfaces")]
     rolls = np.zeros((0, *onwards[0].shape)) if roll is None else rolled(span, roll)[None]
     u, s, vt = factors(response(side, grid) @ span)
     rows = min(arriving, len(s))
-    implicit = [_filled(modes.implicit, functions) for modes in entries]
+    implicit = [filled(modes.implicit, functions) for modes in entries]
     beside = Secondary.of(implicit, span @ (vt[:rows].T / s[:rows]), side, grid) if secondary else None
     return Dictionary(
         *(
             jnp.asarray(array, jnp.float32)
             for array in (
-                np.stack([_filled(modes.basis, functions) for modes in entries]),
-                np.stack([_filled(modes.read.T, functions).T for modes in entries]),
-                np.stack([_filled(modes.prior, prior) for modes in entries]),
+                np.stack([filled(modes.basis, functions) for modes in entries]),
+                np.stack([filled(modes.read.T, functions).T for modes in entries]),
+                np.stack([filled(modes.prior, prior) for modes in entries]),
                 np.stack(leave), np.stack(onwards), rolls, s[:rows, None] * vt[:rows], u[:, :rows],
             )
         ),
@@ -200,7 +200,7 @@ def _names(kind: type[eqx.Module]) -> list[str]:
     return list(kind.__dataclass_fields__)
 
 
-def _filled(columns: Float[np.ndarray, "n b"], count: int) -> Float[np.ndarray, "n B"]:
+def filled(columns: Float[np.ndarray, "n b"], count: int) -> Float[np.ndarray, "n B"]:
     """The columns, and zeros where a small cube has fewer functions than were asked for."""
     return np.pad(columns, ((0, 0), (0, count - columns.shape[1])))
 

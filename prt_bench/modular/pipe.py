@@ -216,9 +216,15 @@ def ring(pipe: Pipe, side: int, across: int) -> tuple[Float[np.ndarray, "m 3"], 
     return position, rays, pipe.meet(np.repeat(position, across * across, axis=0), rays.reshape(-1, 3))
 
 
+def one_bounce(pipe: Pipe, side: int) -> Float[np.ndarray, "n n"]:
+    """F: irradiance at each sample from the radiosity of all; what is missing from the sum of a row leaves through the ends."""
+    apart = np.arange(side) - np.arange(side)[:, None] + side - 1
+    return _kernel(pipe, side)[:, :, apart].transpose(2, 0, 3, 1).reshape(side * side, side * side)
+
+
 @cache
-def one_bounce(pipe: Pipe, side: int, across: int = 128) -> Float[np.ndarray, "n n"]:
-    """F: irradiance at each sample from the radiosity of all; what is missing from the sum of a row leaves through the ends.
+def _kernel(pipe: Pipe, side: int, across: int = 128) -> Float[np.ndarray, "side side apart"]:
+    """What places around a pipe receive from places around it by how far these are along it, from −`side` + 1 to `side` − 1.
 
     How two places on the wall see each other depends on how far apart along the pipe they are, not on where: rays from one ring
     of samples tell all. Light goes both ways alike, by area, and a pipe without end loses none, so the kernel of that is made
@@ -240,10 +246,7 @@ def one_bounce(pipe: Pipe, side: int, across: int = 128) -> Float[np.ndarray, "n
     for _ in range(_SCALINGS):
         scale = np.sqrt(scale * area / (sums @ scale))
     kernel *= scale[:, None, None] * scale[:, None] / area[:, None, None]
-    apart = np.arange(side) - np.arange(side)[:, None] + side - 1
-    found = kernel[:, :, apart].transpose(2, 0, 3, 1).reshape(side * side, side * side)
-    found.flags.writeable = False
-    return found
+    return kernel[:, :, :-1]
 
 
 def wall_table(hit: Hit, side: int, owner: Int[np.ndarray, " n"], rows: int) -> csr_array:

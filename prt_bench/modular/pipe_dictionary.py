@@ -4,22 +4,18 @@ Three shapes are two entries: a bend to the right is one to the left, mirrored. 
 mirror image, so that mirroring is a small orthogonal matrix, and no shape, direction or end needs matrices of its own.
 """
 
-from functools import cache
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from prt_bench.errors import SpecError
-from prt_bench.modular.dictionary import Operators
+from prt_bench.modular.dictionary import Operators, filled
 from prt_bench.modular.lightfield import Grid, contracted, spanning
 from prt_bench.modular.modes import factors
 from prt_bench.modular.pipe import ALONG, SHAPES, orders
 from prt_bench.modular.pipe_light import mirrored, passage, reduced, response
 from prt_bench.progress import track
-from prt_bench.store import data_folder
 
-VERSION = 1
 _LEAST_SIDE = 8
 
 
@@ -76,9 +72,9 @@ def build(
         (leave @ modes.implicit, (leave @ modes.implicit[backwards])[swap])
         for modes, (leave, _) in zip(entries, passages, strict=True)
     ]
+    strength = [modes.decay[: modes.implicit.shape[1]] for modes in entries]
     likely = np.concatenate(
-        [field * modes.decay[: field.shape[1]] for modes, both in zip(entries, fields, strict=True) for field in both],
-        axis=1,
+        [field * size for size, both in zip(strength, fields, strict=True) for field in both], axis=1
     )
     ways = [onwards for _, onwards in passages]
     turned = [*ways, ways[1][swap][:, swap]]
@@ -86,30 +82,17 @@ def build(
     leave = np.zeros((len(SHAPES), 2, span.shape[1], functions))
     for kind, both in enumerate(fields):
         for end, field in enumerate(both):
-            leave[kind, end, :, : field.shape[1]] = span.T @ field
+            leave[kind, end] = filled(span.T @ field, functions)
     onwards = np.stack([contracted(span.T @ (way @ span)) for way in ways])
     arrives = [response(pipe, side, grid, span) for pipe in track(SHAPES, "walls")]
     basis = factors(np.concatenate(arrives, axis=1))[0][:, :arriving]
-    filled = [functions - modes.basis.shape[1] for modes in entries]
     return PipeDictionary(
         *(
             jnp.asarray(array, jnp.float32)
             for array in (
-                np.stack([np.pad(modes.basis, ((0, 0), (0, more))) for modes, more in zip(entries, filled, strict=True)]),
-                np.stack([np.pad(modes.read, ((0, more), (0, 0))) for modes, more in zip(entries, filled, strict=True)]),
+                np.stack([filled(modes.basis, functions) for modes in entries]),
+                np.stack([filled(modes.read.T, functions).T for modes in entries]),
                 leave, onwards, np.stack([basis.T @ each for each in arrives]), basis, span.T @ span[swap],
             )
         )
     )  # fmt: skip
-
-
-@cache
-def standard(**sizes: int) -> PipeDictionary:
-    """The dictionary of these sizes, as `build` takes them: from the user's cache folder, or computed and put there."""
-    name = "-".join(f"{key}{value}" for key, value in sorted(sizes.items()))
-    path = data_folder() / f"pipes-v{VERSION}-{name}.safetensors"
-    if path.exists():
-        return PipeDictionary.load(path)
-    dictionary = build(**sizes)
-    dictionary.save(path)
-    return dictionary

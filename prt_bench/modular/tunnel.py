@@ -156,7 +156,8 @@ def random_tunnel(pieces: int, seed: int = 0) -> Tunnel:
     taken: list[Piece] = []
     while len(taken) < pieces:
         if not tried[-1]:  # a dead end: the piece before goes another way
-            tried.pop(), path.pop(), taken.pop()
+            for stack in (tried, path, taken):
+                stack.pop()
             continue
         piece = tried[-1].pop()
         (column, row), heading = path[-1]

@@ -1,7 +1,7 @@
-"""Levels of blocks drawn with their indirect light, by the matrices of a `LevelTransfer` on the GPU.
+"""Levels of blocks, and tunnels, drawn with their indirect light, by the matrices of a `LevelTransfer` on the GPU.
 
 A frame is shadow maps, direct light at the blocks' samples, then for every bounce b, r and the light they stand for, which the
-next bounce reflects; the last is shown as one padded image (`modular.atlas`). Emitters are those of every runtime, points and
+next bounce reflects; the last is shown as one padded image (`modular.tiles`). Emitters are those of every runtime, points and
 spots as well as the points that larger lights are split into. Their shadow maps show the level's own mesh, so a light beyond a
 wall or round a corner lights nothing directly; between blocks light passes as reduced lightfields, without shadows. Where
 materials have normal images and the dictionary has vector irradiance, indirect light follows them, else it is that of the face.
@@ -13,12 +13,11 @@ import moderngl
 import numpy as np
 from jaxtyping import Float
 
-from prt_bench.errors import AssetError
+from prt_bench.errors import AssetError, SpecError
 from prt_bench.lights import Lighting
 from prt_bench.modular.atlas import LevelAtlas
-from prt_bench.modular.cube import FACES
 from prt_bench.modular.level import LevelTransfer
-from prt_bench.modular.rotations import INVERSE
+from prt_bench.modular.tiles import Tiles
 from prt_bench.points import SurfacePoints
 from prt_bench.runtime import shaders
 from prt_bench.runtime.bodies import Body
@@ -46,7 +45,7 @@ class LevelRuntime:
 
     def __init__(
         self,
-        atlas: LevelAtlas,
+        atlas: Tiles,
         transfer: LevelTransfer,
         scene: Scene,
         points: SurfacePoints,
@@ -59,16 +58,15 @@ class LevelRuntime:
         self.context = context or headless()
         self.scene, self.size, self._shadow_resolution = scene, size, shadow_resolution
         solid = np.asarray(transfer.solid)
-        wanted = len(atlas.level.cells), FACES * atlas.side**2
-        if solid.shape != wanted or len(points) != solid.size:
+        if solid.shape != atlas.shape or len(points) != solid.size:
             raise AssetError(
-                f"a level of {wanted[0]} blocks with {wanted[1]} samples and {len(points)} points does not fit transfer of"
-                f" {solid.shape[0]} blocks with {solid.shape[1]} samples; make all of the same level"
+                f"a level of {atlas.shape[0]} blocks with {atlas.shape[1]} samples and {len(points)} points does not fit"
+                f" transfer of {solid.shape[0]} blocks with {solid.shape[1]} samples; make all of the same level"
             )
         self._blocks, self._samples = solid.shape
         self._light = self.context.buffer(reserve=16 * solid.size)
         self._albedo = self._vectors(points.albedo * solid.reshape(-1, 1))
-        self._upload(transfer)
+        self._upload(transfer, atlas.faces)
         defines = lighting_defines(scene, shadow_resolution, shadows)
         self.measurement = MeasurePass(self.context, points, np.arange(len(points))[:, None], defines)
         mesh = MeshBuffers(self.context, scene, atlas.lightmap(scene.mesh, edge))
@@ -86,23 +84,22 @@ class LevelRuntime:
         sizes = {"RESOLUTION": atlas.resolution, "WORKGROUP": _WORKGROUP, **self._tilted}
         self._pad = shaders.compute(self.context, "level_atlas.comp", sizes)
         self._texels = atlas.resolution**2
-        self._level, self._transfer, self._edge = atlas.level, transfer, edge
+        self._atlas, self._transfer, self._edge = atlas, transfer, edge
         self.look_from(scene.camera)
         check(self.context, "loading a level")
 
-    def _upload(self, transfer: LevelTransfer) -> None:
+    def _upload(self, transfer: LevelTransfer, face_count: int) -> None:
         """Matrices, which of them each block and interface has, and the passes that multiply with them."""
         dictionary, pairs = transfer.dictionary, np.asarray(transfer.pairs)
         samples, basis = dictionary.basis.shape[1:]
-        arriving = dictionary.arrive.shape[0]
+        arriving = dictionary.arriving.shape[1]
         self._interfaces = len(transfer.enters)
-        faces, pose = (
-            np.asarray(transfer.solid).reshape(self._blocks, FACES, -1)[:, :, 0] > 0,
-            np.asarray(transfer.pose),
-        )
-        bits = faces @ (1 << np.arange(FACES))
+        faces = np.asarray(transfer.solid).reshape(self._blocks, face_count, -1)[:, :, 0] > 0
+        bits = faces @ (1 << np.arange(face_count))
         rows = np.full((self._blocks, _BLOCK), -1)
-        rows[:, :4] = np.stack([np.asarray(transfer.kind), pose, bits, INVERSE[pose]], axis=1)
+        rows[:, :4] = np.stack(
+            [*map(np.asarray, (transfer.kind, transfer.pose)), bits, np.asarray(transfer.back)], axis=1
+        )
         rows[np.asarray(transfer.enters), 4 + np.asarray(transfer.along)] = np.arange(self._interfaces)
         starts = np.searchsorted(np.asarray(transfer.pair_to), np.arange(self._interfaces + 1))
         self._block_rows, self._turns = self._whole(rows), self._whole(transfer.turns)
@@ -113,7 +110,7 @@ class LevelRuntime:
         self._pairs = self._matrix(np.swapaxes(pairs, 1, 2))
         self._coefficients = self.context.buffer(reserve=16 * self._blocks * basis)
         self._entered = self.context.buffer(reserve=16 * max(self._interfaces, 1) * arriving)
-        sizes = {"SAMPLES": samples, "BASIS": basis, "ARRIVING": arriving, "WORKGROUP": _WORKGROUP}
+        sizes = {"SAMPLES": samples, "BASIS": basis, "ARRIVING": arriving, "FACES": face_count, "WORKGROUP": _WORKGROUP}
         slices = {name: max(_LANES // count, 1) for name, count in (("read", basis), ("arrive", arriving))}
         self._programs = {
             name: shaders.compute(
@@ -202,8 +199,11 @@ class LevelRuntime:
         self.pad()
 
     def probes(self) -> LevelProbes:
-        """The irradiance volume of the level, for bodies. Raises `SpecError` for a dictionary that has no volumes."""
-        return LevelProbes(self, self._level, self._transfer, self._edge)
+        """The irradiance volume of the level, for bodies. Raises `SpecError` for a dictionary that has no volumes, which tunnels
+        never have."""
+        if not isinstance(self._atlas, LevelAtlas):
+            raise SpecError("a tunnel has no irradiance volume; light what moves in it directly")
+        return LevelProbes(self, self._atlas.level, self._transfer, self._edge)
 
     def body(self, mesh: Mesh, albedo: tuple[float, float, float], light: LevelProbes) -> Body:
         """Upload a diffuse mesh that moves, lit by `light` and directly; give it to frames. See `Body`."""
