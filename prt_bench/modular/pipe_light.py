@@ -23,12 +23,12 @@ _BEYOND = 0.7  # how far beyond an end lights of the prior stand
 
 
 def direct_light(pipe: Pipe, side: int, lights: int) -> Float[np.ndarray, "n m"]:
-    """Irradiance by `lights` sphere lights spread evenly in a pipe, and by a quarter as many beyond either end.
+    """Irradiance by at least `lights` sphere lights spread evenly in a pipe, and by a quarter as many beyond either end.
 
-    Their images by the symmetries of the pipe are lights as well, m in all, so that what follows has these symmetries.
+    Each light has its images by the symmetries of the pipe among them, so that what follows has these symmetries.
     """
     position, normal, _ = pipe.samples(side)
-    inside = spread(lights)
+    inside = spread(-(-lights // len(pipe.images)))
     outside = inside[::SHARE_OUTSIDE]
     near, far = (pipe.frame(np.full(len(outside), end)) for end in (0.0, 1.0))
     step = _BEYOND * outside[:, :1]

@@ -43,4 +43,4 @@ def any_dictionary() -> Dictionary:
 
 @pytest.fixture(scope="session")
 def pipes() -> PipeDictionary:
-    return build_pipes(16, functions=24, prior=48, lights=24, grid=Grid(6, 10), lightfields=48, arriving=24)
+    return build_pipes(16, functions=24, prior=32, lights=24, grid=Grid(6, 10), lightfields=48, arriving=24)

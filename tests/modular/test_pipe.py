@@ -149,7 +149,9 @@ def test_modes_are_orthonormal_by_area_and_hold_the_light_of_the_prior(pipe):
     assert np.sum(area[:, None] * missed**2) < 1e-3 * np.sum(area[:, None] * bounced**2)
     np.testing.assert_allclose(one_bounce(pipe, SIDE) @ modes.implicit, modes.basis, atol=1e-8)
     light = direct_light(pipe, SIDE, 20)
-    assert light.shape == (SIDE * SIDE, (20 + 2 * 5) * len(pipe.images))
+    assert light.shape[1] >= 20 + 2 * 5
+    held = np.linalg.norm(np.linalg.lstsq(light, light[orders(SIDE)[ALONG]], rcond=None)[0], axis=0)
+    np.testing.assert_allclose(held, 1.0, atol=1e-6)  # each light's image is one of the others
     assert light.min() >= 0
 
 
