@@ -186,8 +186,9 @@ class LevelTransfer(eqx.Module):
     """Indirect light of a level from the radiosity of its blocks' samples; differentiable in that and in all matrices.
 
     Blocks N, each the entry `kind` of the dictionary in a `pose`, which `back` undoes; `turns` [P, n] has the samples in all P
-    poses, in a level of cubes the 24 of `rotations`. E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs` [E, R, B]. Interfaces I with
-    the block that each `enters`, and `along`, the face towards which its light goes, which is the pose of what it lights.
+    poses, for cubes the 24 of `rotations`. E pairs (interface, source), by interface: `pair_to`, `pair_from`, and `pairs`
+    [E, R, B]. Interfaces I with the block that each `enters`, and `along`, the pose in which what enters lights it: for cubes
+    the face towards which its light goes.
     """
 
     dictionary: Operators

@@ -199,8 +199,7 @@ class LevelRuntime:
         self.pad()
 
     def probes(self) -> LevelProbes:
-        """The irradiance volume of the level, for bodies. Raises `SpecError` for a dictionary that has no volumes, which tunnels
-        never have."""
+        """The irradiance volume of the level, for bodies. Raises `SpecError` for a tunnel, and where a dictionary has none."""
         if not isinstance(self._atlas, LevelAtlas):
             raise SpecError("a tunnel has no irradiance volume; light what moves in it directly")
         return LevelProbes(self, self._atlas.level, self._transfer, self._edge)

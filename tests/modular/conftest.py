@@ -15,13 +15,14 @@ SIDE, GRID = 8, Grid(8, 14)
 
 @pytest.fixture(scope="session")
 def dictionary() -> Dictionary:
-    return build(SIDE, functions=24, prior=40, lights=40, grid=GRID, lightfields=64, arriving=24)
+    return build(SIDE, functions=24, prior=40, lights=40, grid=GRID, lightfields=64, arriving=24, secondary=True)
 
 
 @pytest.fixture(scope="session")
 def spatial() -> Dictionary:
     """For levels of several layers."""
-    return build(SIDE, functions=20, prior=32, lights=32, grid=Grid(6, 12), lightfields=64, arriving=24, dimension=3)
+    sizes = {"functions": 20, "prior": 32, "lights": 32, "lightfields": 64, "arriving": 24}
+    return build(SIDE, **sizes, grid=Grid(6, 12), dimension=3, secondary=True)
 
 
 @pytest.fixture(scope="session")
