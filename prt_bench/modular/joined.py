@@ -118,13 +118,13 @@ def _operators(model: LevelTransfer) -> _Blocks:
     arrives = np.zeros((len(enters), rows, count * size))
     for to, source, pair in zip(*map(np.asarray, (model.pair_to, model.pair_from, model.pairs)), strict=True):
         arrives[to, :, source * size : (source + 1) * size] = pair
-    back = turns[np.asarray(model.pose)]
-    light = arriving[turns[np.asarray(model.along)]] * solid[enters][:, :, None]
+    back, there = turns[np.asarray(model.pose)], solid[:, :, None]
+    light = arriving[turns[np.asarray(model.along)]] * there[enters]
     return _Blocks(
-        np.stack([within[k][order] for k, order in zip(kind, back, strict=True)]) * solid[:, :, None],
-        np.stack([read[k][:, order] for k, order in zip(kind, back, strict=True)]),
-        np.stack([prior[k][order] for k, order in zip(kind, back, strict=True)]),
-        np.stack([implicit[k][order] for k, order in zip(kind, back, strict=True)]),
+        np.stack([within[k][order] for k, order in zip(kind, back, strict=True)]) * there,
+        np.stack([read[k][:, order] for k, order in zip(kind, back, strict=True)]) * solid[:, None],
+        np.stack([prior[k][order] for k, order in zip(kind, back, strict=True)]) * there,
+        np.stack([implicit[k][order] for k, order in zip(kind, back, strict=True)]) * there,
         [(light[enters == n], arrives[enters == n]) for n in range(count)],
     )
 
