@@ -1,6 +1,7 @@
 """Transfer on a dictionary of shapes that are joined to levels, with no precomputation per scene (Loos et al. 2011).
 
-`cube` is the one shape and its one-bounce operator, `modes` the reduced operators of a cube with missing faces, `lightfield`
-what passes through a missing face, `dictionary` all of these as one file, `level` blocks on a grid and their light. `block` is
-one cube for a scene of any geometry.
+`cube` is the one shape and its one-bounce operator, `rotations` its 24 poses, `modes` the reduced operators of a cube with
+missing faces, `lightfield` what passes through a missing face, `dictionary` all of these as one file, `passages` how light goes
+from face to face by them, `level` blocks on a grid, in one layer or several, and their light. `block` is one cube for a scene
+of any geometry.
 """
