@@ -1,8 +1,8 @@
 """Levels: blocks on a grid, which are open to their neighbours unless a wall stands between, and the light in them.
 
 A flat level is one of a single layer. Connectivity alone decides how light passes from block to block: breadth first from every
-block, its lightfields are carried through interfaces to a depth, and summed for each block and interface it enters (`carried`): T,
-a sparse matrix of blocks.
+block, its lightfields are carried through interfaces to a depth, and summed for each block and interface it enters
+(`carried`): T, a sparse matrix of blocks.
 """
 
 import tomllib
