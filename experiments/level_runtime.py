@@ -13,7 +13,8 @@ Draws a maze of 11 blocks from within: direct light, indirect light after all bo
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -42,6 +43,12 @@ BOUNCES = 6
 TOLERANCES = (0.0, 1e-3, 1e-2)
 SIZE = (640, 480)
 SHOWN = 11
+STAGES = ("b", "r", "light", "all")
+CORE_HEADS = (
+    *(f"JAX {name}" for name in STAGES),
+    *(f"NumPy {name}" for name in (*STAGES, "with albedo")),
+    "NumPy − JAX",
+)
 
 
 def main() -> None:
@@ -69,18 +76,23 @@ def milliseconds(works: Mapping, finish: Callable[[object], object]) -> dict:
 
 def one_core(dictionary: Dictionary, counts: list[int]) -> None:
     """The table of JAX and NumPy, each maze by itself, so that none finds another's matrices in the caches."""
+    with single_core():
+        rows = [(*core_row(transfer(maze(count, seed=0), dictionary)), PAPER_MS.get(count, "")) for count in counts]
+    table(("blocks", *CORE_HEADS, "source, x86"), rows)
+
+
+@contextmanager
+def single_core() -> Iterator[None]:
+    """One core for all that runs within."""
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     with threadpool_limits(1):
-        rows = [core_row(transfer(maze(count, seed=0), dictionary)) for count in counts]
+        yield
     os.sched_setaffinity(0, cores)
-    names = ("b", "r", "light", "all")
-    numpy = (f"NumPy {name}" for name in (*names, "with albedo"))
-    table(("blocks", *(f"JAX {name}" for name in names), *numpy, "source, x86", "NumPy − JAX"), rows)
 
 
 def core_row(operator: LevelTransfer) -> tuple:
-    """One maze on one core."""
+    """One level: its blocks, and what `CORE_HEADS` say."""
     prepared, count = PreparedLevel(operator), len(operator.kind)
     radiosity = np.random.default_rng(0).random((count, operator.solid.shape[1], 3), np.float32)
     radiosity *= np.asarray(operator.solid)[:, :, None]
@@ -102,7 +114,7 @@ def core_row(operator: LevelTransfer) -> tuple:
     wanted = np.swapaxes(np.asarray(once_through(operator, given)), 1, 2)[prepared.order]
     away = np.abs(prepared(light, 1.0) - wanted).max() / wanted.max()
     times = (*(f"{value:.2f}" for value in in_jax.values()), *(f"{value:.3f}" for value in in_numpy.values()))
-    return count, *times, PAPER_MS.get(count, ""), f"{away:.0e}"
+    return count, *times, f"{away:.0e}"
 
 
 def once_through(operator: LevelTransfer, radiosity: jax.Array) -> jax.Array:
@@ -122,8 +134,8 @@ def opengl(dictionary: Dictionary, counts: list[int]) -> None:
     """The table of OpenGL."""
     rows = [opengl_row(maze(count, seed=0), dictionary) for count in counts]
     print(f"OpenGL, {renderer(headless())}, frames of {SIZE[0]} × {SIZE[1]}, one bounce")
-    stages = ("shadow", "direct", "b", "r", "light", "image", "draw", "frame")
-    table(("blocks", *stages, "MB", f"OpenGL − JAX, {BOUNCES} bounces"), rows)
+    names = ("shadow", "direct", "b", "r", "light", "image", "draw", "frame")
+    table(("blocks", *names, "MB", f"OpenGL − JAX, {BOUNCES} bounces"), rows)
 
 
 def opengl_row(level: Level, dictionary: Dictionary) -> tuple:
@@ -131,18 +143,23 @@ def opengl_row(level: Level, dictionary: Dictionary) -> tuple:
     operator = transfer(level, dictionary)
     runtime = loaded(level, operator)
     lighting = prt.Lighting([prt.PointLight((0.3, 0.6, 0.2), (20.0, 19.0, 17.0))])
+    found = stages(runtime, lighting)
+    direct, light = runtime.solve(lighting, BOUNCES)
+    albedo = block_samples(level, dictionary.side, ALBEDO).albedo.reshape(light.shape)
+    wanted = np.asarray(operator(jnp.asarray(direct), jnp.asarray(albedo, jnp.float32), BOUNCES))
+    away = np.abs(light - wanted).max() / wanted.max()
+    return len(level.cells), *(f"{value:.2f}" for value in found.values()), f"{runtime.bytes / 1e6:.1f}", f"{away:.0e}"
+
+
+def stages(runtime: LevelRuntime, lighting: prt.Lighting) -> dict[str, float]:
+    """Milliseconds of each pass of a frame with one bounce, and of all."""
     lights = runtime.light(lighting)
     works = {
         "shadow": lambda: runtime.shadows.run(lights), "direct": lambda: runtime.measure(lights), "b": runtime.read,
         "r": runtime.arrive, "light": runtime.respond, "image": runtime.pad, "draw": lambda: runtime.shade(lights),
         "frame": lambda: runtime.draw(lights),
     }  # fmt: skip
-    found = milliseconds(works, lambda _: runtime.context.finish())
-    direct, light = runtime.solve(lighting, BOUNCES)
-    albedo = block_samples(level, dictionary.side, ALBEDO).albedo.reshape(light.shape)
-    wanted = np.asarray(operator(jnp.asarray(direct), jnp.asarray(albedo, jnp.float32), BOUNCES))
-    away = np.abs(light - wanted).max() / wanted.max()
-    return len(level.cells), *(f"{value:.2f}" for value in found.values()), f"{runtime.bytes / 1e6:.1f}", f"{away:.0e}"
+    return milliseconds(works, lambda _: runtime.context.finish())
 
 
 def left_out(dictionary: Dictionary, counts: list[int]) -> None:

@@ -49,14 +49,15 @@ def build(
     prior: int = 64,
     lights: int = 63,
     grid: Grid | None = None,
-    lightfields: int = 128,
+    lightfields: int = 96,
     arriving: int = 32,
 ) -> PipeDictionary:
     """Compute the dictionary; `side`² samples a pipe, `functions` within it, `lightfields` between pipes.
 
-    Raises `SpecError` for sizes that are too small and for a `side` that is odd. Not differentiable.
+    A lightfield has 8² points and 16² directions unless a `grid` is given. Raises `SpecError` for sizes that are too small and
+    for a `side` that is odd. Not differentiable.
     """
-    grid = grid or Grid()
+    grid = grid or Grid(8, 16)
     least = {"side": _LEAST_SIDE, "functions": 1, "prior": functions, "lights": 1, "lightfields": 1, "arriving": 1}
     given = {"side": side, "functions": functions, "prior": prior, "lights": lights}
     for name, value in {**given, "lightfields": lightfields, "arriving": arriving}.items():
