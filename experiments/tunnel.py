@@ -52,9 +52,10 @@ VIEWS = {
 def main() -> None:
     settings = arguments(__doc__, "tunnel.webp", texels=128, rays=256, paths=128).parse_args()
     folder = Path(settings.data or data_folder())
-    started = time.perf_counter()
+    started, busy = time.perf_counter(), time.process_time()
     dictionary = build()
-    print(f"dictionary: {time.perf_counter() - started:.0f} s, {dictionary.bytes / 1e6:.1f} MB\n", flush=True)
+    seconds, busy = time.perf_counter() - started, time.process_time() - busy
+    print(f"dictionary: {seconds:.0f} s, {busy:.0f} s of cores, {dictionary.bytes / 1e6:.1f} MB\n", flush=True)
     dictionary.save(folder / "pipes.safetensors")
     tunnels = load_tunnel(TUNNEL), random_tunnel(20, seed=1)
     rows = [row for tunnel in tunnels for row in study(tunnel, dictionary, settings, folder)]

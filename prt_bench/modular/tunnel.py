@@ -207,6 +207,7 @@ def transfer(tunnel: Tunnel, dictionary: PipeDictionary, depth: int = 8, toleran
                 onwards[at, step] = [((other, step), seen @ ways[kind] @ seen)] if other is not None else []
     found = carried(leaving, onwards, arrives, (arrive.shape[1], leave.shape[3]), depth, tolerance)
     samples = dictionary.basis.shape[1]
+    # As is or mirrored, 0 or 2, each entry's order is its own inverse, −q mod 4.
     along = [(_FORWARD if step == 1 else _BACKWARD)[tunnel.pieces[at]] for at, step in arrives]
     return LevelTransfer(
         dictionary,
