@@ -2,13 +2,15 @@
 
 Prints seconds and bytes of the dictionary. Twelve lamps, one at a time, light each tunnel; indirect light after one bounce and
 after all of them is compared with the traced operator of the tunnel's own mesh, beside `operator-ridge` fitted to that mesh and
-an ambient term (the mean direct light times the factor that fits best). Then milliseconds of b, r and light on one core, in
+an ambient term (the mean direct light times the factor that fits best). Under three of the lamps both the modular light and
+that of the traced operator are held against an independent path tracer's at 400 receivers, free of its noise as the mean of
+(x − A)(x − B) over its halves A and B. Then milliseconds of b, r and light on one core, in
 JAX and prepared in NumPy, and of the passes of a frame in OpenGL.
 
     python experiments/tunnel.py [--texels 128] [--rays 256] [--paths 128] [--data FOLDER]
 
-Draws the scene from two places under a lamp round a corner: direct light and light after all bounces in OpenGL, and an
-independent path tracer's picture. Keeps the dictionary beside the bakes.
+Draws the scene from two places under a lamp round a corner: direct light and light after all bounces in OpenGL, and the path
+tracer's picture. Keeps the dictionary beside the bakes.
 """
 
 import time
@@ -22,24 +24,26 @@ from modular import ambient_error
 
 import prt_bench as prt
 from data_gen.direct import direct_irradiance
+from data_gen.reference import indirect_irradiance
 from data_gen.reference_image import reference_image
 from data_gen.scenes.tunnel import FLOOR, WALLS
 from data_gen.tracer import Tracer
 from data_gen.tunnels import EDGE, scene_of, tunnel_samples
-from prt_bench.images import exposure_for, tone_map
 from prt_bench.lights import emitters
-from prt_bench.metrics import flip, relative_rmse
+from prt_bench.metrics import relative_rmse
 from prt_bench.modular.pipe_dictionary import PipeDictionary, build
 from prt_bench.modular.tunnel import Tunnel, load_tunnel, random_tunnel, transfer
 from prt_bench.modular.tunnel_atlas import TunnelAtlas
+from prt_bench.points import SurfacePoints
 from prt_bench.runtime import headless, renderer
 from prt_bench.runtime.level import LevelRuntime
-from prt_bench.scene import Camera
+from prt_bench.scene import Camera, Scene
 from prt_bench.store import data_folder
 from prt_bench.transport import indirect
 
 TUNNEL = Path(__file__).parent / "levels" / "tunnel.toml"
 LIT = 12  # lamps that are compared
+FOLLOWED, PATHS = 3, 4096  # lamps that a path tracer lights too, and its paths from each receiver
 OUTPUT = (20.0, 19.0, 17.0)
 DRAWN = (240, 180)
 VIEWS = {
@@ -58,8 +62,13 @@ def main() -> None:
     print(f"dictionary: {seconds:.0f} s, {busy:.0f} s of cores, {dictionary.bytes / 1e6:.1f} MB\n", flush=True)
     dictionary.save(folder / "pipes.safetensors")
     tunnels = load_tunnel(TUNNEL), random_tunnel(20, seed=1)
-    rows = [row for tunnel in tunnels for row in study(tunnel, dictionary, settings, folder)]
-    table(("pieces", "bounces", "modular", "operator-ridge b64", "ambient", "light, modular / traced", "noise"), rows)
+    found = [study(tunnel, dictionary, settings, folder) for tunnel in tunnels]
+    head = ("pieces", "bounces", "modular", "operator-ridge b64", "ambient", "light, modular / traced", "noise")
+    table(head, [row for rows, _ in found for row in rows])
+    print()
+    names = "modular", "traced operator"
+    heads = (*(f"{name}, error" for name in names), *(f"{name} / path tracer" for name in names))
+    table(("pieces, against a path tracer", *heads), [row for _, row in found])
     print()
     with single_core():
         core = [core_row(transfer(tunnel, dictionary)) for tunnel in tunnels]
@@ -82,25 +91,13 @@ def lamp(x: float, z: float) -> prt.Lighting:
     return prt.Lighting([prt.PointLight((EDGE * x, 0.12 * EDGE, EDGE * z), OUTPUT)])
 
 
-def study(tunnel: Tunnel, dictionary: PipeDictionary, settings, folder: Path) -> list[tuple]:
-    """One tunnel: rows of the table for one bounce and for all."""
-    scene, count = scene_of(tunnel, WALLS, FLOOR), len(tunnel.pieces)
-    ds = prt.bake(
-        scene, "point", 128, settings.texels, settings.rays, 16 * count, seed=0, out=folder, supersampling=1
-    )  # fmt: skip
-    random = np.random.default_rng(1)
-    places = [tunnel.place(piece, *random.uniform(0, 1, (2, 1))) for piece in random.integers(0, count, LIT)]
-    lightings = [
-        prt.Lighting([prt.PointLight(tuple(EDGE * (wall + random.uniform(0.08, 0.3) * normal)[0]), OUTPUT)])
-        for wall, normal in places
-    ]
-    lit = prt.light(ds, lightings)
-    points = tunnel_samples(tunnel, dictionary.side, WALLS, FLOOR)
-    direct = direct_irradiance(Tracer(scene), points, emitters(lightings))
-    direct = jnp.asarray(np.moveaxis(direct.reshape(LIT, count, -1, 3), 0, 2).reshape(count, -1, 3 * LIT), jnp.float32)
-    albedo = jnp.tile(jnp.asarray(points.albedo.reshape(count, -1, 3), jnp.float32), LIT)
+def study(tunnel: Tunnel, dictionary: PipeDictionary, settings, folder: Path) -> tuple[list[tuple], tuple]:
+    """One tunnel: rows of the table for one bounce and for all, and of that against a path tracer."""
+    scene, count, lightings = scene_of(tunnel, WALLS, FLOOR), len(tunnel.pieces), lamps(tunnel)
+    ds = prt.bake(scene, "point", 128, settings.texels, settings.rays, 16 * count, seed=0, out=folder, supersampling=1)
+    lit, transport, rows, followed = prt.light(ds, lightings), ds.transport, [], ()
     spread = tunnel.interpolation(ds.points.position / EDGE, dictionary.side)
-    model, transport, rows = transfer(tunnel, dictionary), ds.transport, []
+    modular = modular_light(tunnel, dictionary, scene, lightings, (1, transport.bounces))
     traced = {
         1: np.asarray(
             indirect(transport.sample_gather(), jnp.asarray(ds.points.albedo, jnp.float32), jnp.asarray(lit.direct), 1)
@@ -109,16 +106,59 @@ def study(tunnel: Tunnel, dictionary: PipeDictionary, settings, folder: Path) ->
     }
     fitted = prt.method("operator-ridge", basis=64).fit(ds.split("train"))
     for bounces, wanted in traced.items():
-        flat = np.asarray(model(direct, albedo, bounces)).reshape(-1, LIT * 3)
-        ours = np.moveaxis((spread @ flat).reshape(-1, LIT, 3), 1, 0)
+        ours = np.moveaxis((spread @ modular[bounces]).reshape(-1, LIT, 3), 1, 0)
         error, ambient = relative_rmse(ours, wanted), ambient_error(lit.direct, wanted)
         ridge, noise = "", ""
         if bounces > 1:
             ridge = f"{relative_rmse(np.asarray(fitted.predict(lit)), wanted):.3f}"
             noise = f"{np.median(lit.noise):.3f}"
+            followed = (count, *against_paths(scene, ds.points, lightings, (ours, wanted)))
         told = "1" if bounces == 1 else "all"
         rows.append((count, told, f"{error:.3f}", ridge, f"{ambient:.3f}", f"{ours.mean() / wanted.mean():.3f}", noise))
-    return rows
+    return rows, followed
+
+
+def lamps(tunnel: Tunnel) -> list[prt.Lighting]:
+    """One lamp each, anywhere in the tunnel but close to its wall."""
+    random, found = np.random.default_rng(1), []
+    for piece in random.integers(0, len(tunnel.pieces), LIT):
+        wall, normal = tunnel.place(piece, *random.uniform(0, 1, (2, 1)))
+        found.append(
+            prt.Lighting([prt.PointLight(tuple(EDGE * (wall + random.uniform(0.08, 0.3) * normal)[0]), OUTPUT)])
+        )
+    return found
+
+
+def modular_light(
+    tunnel: Tunnel, dictionary: PipeDictionary, scene: Scene, lightings: list[prt.Lighting], bounces: tuple[int, ...]
+) -> dict[int, np.ndarray]:
+    """Indirect light at the samples [N n, lamps and channels] after each number of bounces."""
+    points, count = tunnel_samples(tunnel, dictionary.side, WALLS, FLOOR), len(tunnel.pieces)
+    direct = direct_irradiance(Tracer(scene), points, emitters(lightings))
+    direct = jnp.asarray(np.moveaxis(direct.reshape(LIT, count, -1, 3), 0, 2).reshape(count, -1, 3 * LIT), jnp.float32)
+    albedo = jnp.tile(jnp.asarray(points.albedo.reshape(count, -1, 3), jnp.float32), LIT)
+    model = transfer(tunnel, dictionary)
+    return {each: np.asarray(model(direct, albedo, each)).reshape(-1, 3 * LIT) for each in bounces}
+
+
+def against_paths(
+    scene: Scene, points: SurfacePoints, lightings: list[prt.Lighting], lights: tuple[np.ndarray, ...]
+) -> tuple[str, ...]:
+    """Errors of indirect light at the points, and its sums over the path tracer's, for each of `lights`."""
+    some = np.random.default_rng(2).choice(len(points), 400, replace=False)
+    place, normal = points.position[some], points.normal[some]
+    halves = np.stack(
+        [indirect_irradiance(scene, place, normal, each, PATHS).halves for each in lightings[:FOLLOWED]], axis=1
+    )  # [2, lamps, points, 3]
+    shown, true = [light[:FOLLOWED][:, some] for light in lights], halves.mean(axis=0)
+    errors = (f"{noiseless_error(light, halves):.3f}" for light in shown)
+    return *errors, *(f"{light.sum() / true.sum():.3f}" for light in shown)
+
+
+def noiseless_error(light: np.ndarray, halves: np.ndarray) -> float:
+    """Relative RMSE of light [lamps, ·, 3] against a mean of which `halves` [2, lamps, ·, 3] have independent noise."""
+    square = np.sum((light - halves[0]) * (light - halves[1]), axis=(1, 2)) / np.sum(halves[0] * halves[1], axis=(1, 2))
+    return float(np.sqrt(max(square.mean(), 0.0)))
 
 
 def loaded(tunnel: Tunnel, dictionary: PipeDictionary, size: tuple[int, int]) -> LevelRuntime:
@@ -141,13 +181,12 @@ def show(path: Path, tunnel: Tunnel, dictionary: PipeDictionary, paths: int) -> 
             "with indirect": runtime.frame(lighting, 24),
             "reference": traced.mean,
         }
-        exposure = exposure_for(frames["reference"])
-        shown = {title: tone_map(frame, exposure) / 255.0 for title, frame in frames.items()}
-        captions = {"reference": f"noise {traced.noise:.1%}"} | {
-            title: f"error {relative_rmse(frames[title][None], frames['reference'][None]):.1%}, "
-            f"FLIP {flip(shown[title], shown['reference']):.3f}"
-            for title in ("direct", "with indirect")
+        halves = traced.halves.reshape(2, 1, -1, 3)
+        errors = {
+            title: noiseless_error(frames[title].reshape(1, -1, 3), halves) for title in ("direct", "with indirect")
         }
+        captions = {title: f"error {error:.1%}" for title, error in errors.items()}
+        captions["reference"] = f"noise {traced.noise:.1%}"
         rows.append(Row(name, frames, captions))
     draw(path, rows)
 
