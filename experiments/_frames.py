@@ -6,6 +6,7 @@ held-out lighting whose error is the median of the first asset's, so that none i
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from prt_bench.methods.base import Method
 from prt_bench.metrics import flip, relative_norm
 from prt_bench.runtime.runtime import Runtime
 from prt_bench.store import data_folder
+from prt_bench.strands import TEXELS
 
 PUBLISHED = {"normalise": "measured", "ridge": 1e-3}
 """What `svd-ridge` needs to be as published: light over the norm of its measured values; mean and mono-channel are its own."""
@@ -54,6 +56,11 @@ def bake(scene: str, scenario: str, data: Path | None, measurements: int = 256, 
     return prt.bake(
         prt.load_scene(scene), scenario, 128, 128, 256, measurements=measurements, seed=0, out=folder, **more
     )
+
+
+def strand_texels(strands: int) -> int:
+    """The side of a lightmap that holds so many strands of hair, and a third as much again for surfaces."""
+    return 10 * ceil(1.25 * (TEXELS * strands) ** 0.5 / 10)
 
 
 def ship(methods: Mapping[str, Method], train: prt.LightingDataset, folder: str | Path) -> dict[str, RuntimeAsset]:

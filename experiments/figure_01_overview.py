@@ -9,25 +9,23 @@ drawn.
 """
 
 import time
-from math import ceil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from _frames import SIZE, Row, arguments, draw, flip_of, lit, median_lighting, table
+from _frames import SIZE, Row, arguments, draw, flip_of, lit, median_lighting, strand_texels, table
 
 import prt_bench as prt
 from data_gen.scenes import hairball
 from prt_bench.metrics import relative_rmse
 from prt_bench.runtime.runtime import Runtime
-from prt_bench.strands import TEXELS
 
 
 def main() -> None:
     settings = arguments(
         __doc__, "figure_01.webp", texels=256, rays=256, strands=2000, lightings=128, basis=16, shadows=2048
     ).parse_args()
-    hair_texels = 10 * ceil(1.25 * (TEXELS * settings.strands) ** 0.5 / 10)
+    hair_texels = strand_texels(settings.strands)
     bakes = {
         "surfaces": (prt.load_scene("suzanne"), "point", settings.texels, settings.rays, 1.0),
         "translucent": (prt.load_scene("statue"), "behind", settings.texels, settings.rays, 2.2),

@@ -10,13 +10,12 @@ light, a part of it with ten texels a strand, and the mean along strands: all, t
 """
 
 import time
-from math import ceil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _frames import PUBLISHED, SIZE, Row, arguments, draw, flip_of, lit, median_lighting, table
+from _frames import PUBLISHED, SIZE, Row, arguments, draw, flip_of, lit, median_lighting, strand_texels, table
 
 import prt_bench as prt
 from data_gen.scenes import hairball
@@ -37,7 +36,7 @@ def main() -> None:
     parser.add_argument("--texture", type=Path, default=Path("experiments/figures/figure_11.webp"))
     settings = parser.parse_args()
     scene = hairball.build(settings.strands)
-    texels = 10 * ceil(1.25 * (TEXELS * settings.strands) ** 0.5 / 10)
+    texels = strand_texels(settings.strands)
     own = {"mean": False, "transfer": "per-channel", "normalise": "indirect"}
     methods = {
         "as published": prt.method("svd-ridge", basis=settings.basis, **PUBLISHED),

@@ -9,11 +9,10 @@ al. 2022 bake a hairball of 140,000 strands: `--strands 140000` has as many.
 
 import argparse
 import time
-from math import ceil
 from pathlib import Path
 
 import numpy as np
-from _frames import table
+from _frames import strand_texels, table
 from PIL import Image
 
 import prt_bench as prt
@@ -43,7 +42,7 @@ def main() -> None:
     chosen = parser.parse_args()
     scene = hairball.build(chosen.strands) if chosen.strands else prt.load_scene("hair")
     assert scene.strands is not None
-    texels = chosen.texels or 10 * ceil(1.25 * (10 * len(scene.strands)) ** 0.5 / 10)
+    texels = chosen.texels or strand_texels(len(scene.strands))
     settings = {"scenario": "spot", "lightings": chosen.lightings, "texels": texels, "rays": chosen.rays}
     print(prt.plan(scene, **settings).table())
     ds = prt.bake(scene, **settings, out=chosen.out)

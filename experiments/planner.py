@@ -8,15 +8,13 @@ what the bake took. Scenes whose mesh was not fetched are left out.
         [--gather auto] [--gather_tolerance 0.05]
 """
 
-from math import ceil
 from tempfile import TemporaryDirectory
 
-from _frames import arguments, table
+from _frames import arguments, strand_texels, table
 
 import prt_bench as prt
 from prt_bench.errors import SceneError
 from prt_bench.scene import Scene
-from prt_bench.strands import TEXELS
 
 
 def main() -> None:
@@ -86,7 +84,7 @@ def loaded(name: str) -> Scene | None:
 def texels_of(scene: Scene, texels: int) -> int:
     """As many as asked for, or what the scene's hair needs."""
     strands = 0 if scene.strands is None else len(scene.strands)
-    return max(texels, 10 * ceil(1.25 * (TEXELS * strands) ** 0.5 / 10))
+    return max(texels, strand_texels(strands))
 
 
 def cost(name: str, ds: prt.LightingDataset) -> list[object]:
