@@ -158,13 +158,14 @@ def build(
     rows = min(arriving, len(s))
     implicit = [filled(modes.implicit, functions) for modes in entries]
     beside = Secondary.of(implicit, span @ (vt[:rows].T / s[:rows]), side, grid) if secondary else None
-    arrays = (
-        np.stack([filled(modes.basis, functions) for modes in entries]),
-        np.stack([filled(modes.read.T, functions).T for modes in entries]),
-        np.stack([filled(modes.prior, prior) for modes in entries]),
-        np.stack(leave), np.stack(onwards), rolls, s[:rows, None] * vt[:rows], u[:, :rows],
-    )  # fmt: skip
-    return Dictionary(*(jnp.asarray(array, jnp.float32) for array in arrays), beside)
+    kept = {
+        "basis": np.stack([filled(modes.basis, functions) for modes in entries]),
+        "read": np.stack([filled(modes.read.T, functions).T for modes in entries]),
+        "prior": np.stack([filled(modes.prior, prior) for modes in entries]),
+        "leave": np.stack(leave), "onwards": np.stack(onwards), "roll": rolls,
+        "arrive": s[:rows, None] * vt[:rows], "arriving": u[:, :rows],
+    }  # fmt: skip
+    return Dictionary(**{name: jnp.asarray(array, jnp.float32) for name, array in kept.items()}, secondary=beside)
 
 
 def _leaving(entries: list[Modes], side: int, grid: Grid) -> tuple[list[np.ndarray], list[np.ndarray]]:
