@@ -1,10 +1,10 @@
 """Modular radiance transfer: a dictionary of blocks, levels made of it, and what that costs and misses.
 
 Builds the dictionary of flat levels and that of levels with several layers (seconds, bytes; singular values that hold 80, 90
-and 95 % of the energy, beside the source paper's). Random mazes, flat ones and ones of three layers, are then lit by a light in
-each of some blocks; indirect light after one bounce and after all of them is compared with the traced operator of the level's
-own mesh, beside `operator-ridge` fitted to that level and an ambient term (the mean direct light times the factor that fits
-best). What a frame of such a maze costs is in `level_runtime.py`.
+and 95 % of the energy, beside the source paper's). Random mazes, flat ones and ones of three layers, and a hall of 27 blocks
+are then lit by a light in each of some blocks; indirect light after one bounce and after all of them is compared with the
+traced operator of the level's own mesh, beside `operator-ridge` fitted to that level and an ambient term (the mean direct light
+times the factor that fits best). What a frame of such a maze costs is in `level_runtime.py`.
 
     python experiments/modular.py [--blocks 2 11 41] [--tall 11 41] [--texels 128] [--data FOLDER]
 
@@ -13,6 +13,7 @@ difference. Keeps the flat dictionary beside the bakes.
 """
 
 import time
+from itertools import product
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -37,6 +38,7 @@ from prt_bench.transport import indirect
 SHARES = (0.8, 0.9, 0.95)
 PAPER = {"F": (164, 240, 313), "L": (22, 41, 62), "M": (1, 5, 8)}
 LAYERS = 3  # of a tall maze
+HALL = Level(tuple(product(range(LAYERS), repeat=3)))  # no walls within: six blocks have one face, and one has none
 LIT = 12  # lightings that are compared
 PIXELS = 40  # of a picture along a block
 
@@ -45,17 +47,16 @@ def main() -> None:
     parser = arguments(__doc__, "modular.webp", blocks=[2, 11, 41], tall=[11, 41], texels=128, rays=256)
     settings = parser.parse_args()
     folder = settings.data or data_folder()
-    rows: list[tuple] = []
-    pictures: dict[int, list[tuple]] = {}
-    for layers, counts in ((1, settings.blocks), (LAYERS, settings.tall)):
-        dictionary = timed(3 if layers > 1 else 2)
-        if layers == 1:
-            dictionary.save(Path(folder) / "blocks.safetensors")
-            spectra()
-        for count in counts:
-            found, picture = study(maze(count, seed=0, layers=layers), dictionary, settings, folder)
-            rows += found
-            pictures.setdefault(layers, []).append(picture)
+    flat, tall = (
+        [maze(count, seed=0, layers=layers) for count in counts]
+        for layers, counts in ((1, settings.blocks), (LAYERS, settings.tall))
+    )
+    dictionary = timed(2)
+    dictionary.save(Path(folder) / "blocks.safetensors")
+    spectra()
+    found = [study(level, dictionary, settings, folder) for level in flat]
+    dictionary = timed(3)
+    found += [study(level, dictionary, settings, folder) for level in (*tall, HALL)]
     heads = (
         "blocks",
         "layers",
@@ -66,9 +67,9 @@ def main() -> None:
         "energy, modular / traced",
         "noise",
     )
-    table(heads, rows)
-    draw(settings.out, *pictures[1][:2][-1])
-    draw(settings.out.with_stem(settings.out.stem + "_tall"), *pictures[LAYERS][-1])
+    table(heads, [row for rows, _ in found for row in rows])
+    draw(settings.out, *found[min(1, len(flat) - 1)][1])
+    draw(settings.out.with_stem(settings.out.stem + "_tall"), *found[-2][1])
 
 
 def timed(dimension: int) -> Dictionary:
