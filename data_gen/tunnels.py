@@ -13,8 +13,8 @@ EDGE = 4.0
 AROUND = 48
 """Quads around a pipe, and along `ALONG`."""
 ALONG = 20
-FLOOR = 0.2
-"""The share of what is around a pipe that is floor."""
+FLOOR = 0.25
+"""The share of what is around a pipe that is floor. Its edges lie between quads, and between samples where 8 divides `side`."""
 _MARGIN = 0.06  # of a tile of the lightmap, on either side
 Colour = tuple[float, float, float]
 

@@ -6,6 +6,7 @@ are computed in float64 and kept in float32.
 """
 
 import json
+from abc import abstractmethod
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -59,6 +60,11 @@ class Operators(eqx.Module):
     read: eqx.AbstractVar[Float[Array, "K B n"]]
     arriving: eqx.AbstractVar[Float[Array, "n R"]]
     secondary: eqx.AbstractVar[Secondary | None]
+
+    @property
+    @abstractmethod
+    def side(self) -> int:
+        """Samples along an edge of a face, or of another such part of a surface."""
 
     @property
     def bytes(self) -> int:
