@@ -141,7 +141,8 @@ def maze(blocks: int, seed: int = 0, loops: float = 0.15, layers: int = 1) -> Le
             f" {blocks}, {layers} and {loops}"
         )
     random = np.random.default_rng(seed)
-    cells, passages, ways = [(0, 0, 0)], set(), _MAZE[layers > 1]
+    cells: list[Cell] = [(0, 0, 0)]
+    passages, ways = set(), _MAZE[layers > 1]
     while len(cells) < blocks:
         cell = (
             cells[random.integers(max(0, len(cells) - 4), len(cells))]

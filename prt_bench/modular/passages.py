@@ -32,22 +32,25 @@ class Passages:
     def leaving(self, kind: int, pose: int, face: int) -> Float[np.ndarray, "k B"]:
         """From b of a block to the lightfield that leaves through a missing face."""
         own = FACE[INVERSE[pose], face]
-        return self._framed(PRODUCT[INVERSE[face], PRODUCT[pose, own]], self._leave[DOORS.index((kind, own))])
+        return self._framed(_frame(face, pose, own), self._leave[DOORS.index((kind, own))])
 
     def onwards(self, along: int, exit_: int) -> Float[np.ndarray, "k k"]:
         """From the lightfield that enters a block towards face `along` to that which leaves through another than it came by."""
         if (along, exit_) not in self._known:
             own = FACE[INVERSE[along], exit_]
-            frame = PRODUCT[INVERSE[exit_], PRODUCT[along, own]]
-            self._known[along, exit_] = self._framed(frame, self._exits[own])
+            self._known[along, exit_] = self._framed(_frame(exit_, along, own), self._exits[own])
         return self._known[along, exit_]
 
-    def _framed(self, rotation: int, light: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k m"]:
-        """Light that is given in a frame of its direction which is a roll away from the direction's own."""
-        return self._rolls[rotation // FACES] @ light if rotation else light
+    def _framed(self, rolls: int, light: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k m"]:
+        """Light in the frame of its direction that is given in one so many rolls away."""
+        return self._rolls[rolls] @ light if rolls else light
 
     def _rolled_left(self, rolls: int) -> Float[np.ndarray, "k k"]:
         """Rolled back, to the left, rolled again: to the exit that lies so many quarter turns about +x from the left one."""
         roll, left = FACES * rolls, EXITS["left"]
-        frame = PRODUCT[INVERSE[FACE[roll, left]], PRODUCT[roll, left]]
-        return self._framed(frame, self._exits[left] @ self._rolls[-rolls])
+        return self._framed(_frame(FACE[roll, left], roll, left), self._exits[left] @ self._rolls[-rolls])
+
+
+def _frame(face: int, rotation: int, own: int) -> int:
+    """Rolls from the frame of a face to that of another face that a rotation takes there."""
+    return int(PRODUCT[INVERSE[face], PRODUCT[rotation, own]]) // FACES

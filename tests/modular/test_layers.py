@@ -92,14 +92,14 @@ def test_rolls_are_rotations_of_what_is_kept_and_nothing_amplifies(spatial):
 
 
 def test_right_is_left_between_rolls():
-    grid = Grid(6, 10)
+    grid = Grid(4, 8)
     roll = rolling(grid)
     upside_down = roll[roll]
     assert not np.array_equal(upside_down, np.arange(grid.size))
     np.testing.assert_array_equal(upside_down[upside_down], np.arange(grid.size))
     left, right, straight = (propagation(way, grid).toarray() for way in ("left", "right", "straight"))
     away = np.linalg.norm(left[upside_down][:, upside_down] - right)
-    assert away < 0.05 * np.linalg.norm(right)  # rays through edges belong to either side
+    assert away < 0.06 * np.linalg.norm(right)  # rays through edges belong to either side
     assert np.linalg.norm(left - right) > 0.5 * np.linalg.norm(right)
     np.testing.assert_allclose(straight[roll][:, roll], straight, atol=1e-12)
 
