@@ -67,9 +67,11 @@ def test_the_map_of_a_level_carries_the_light_that_its_blocks_do(level, places, 
     coefficients = np.einsum("cqm,mc->qc", matrix, direct.reshape(-1, 3)).reshape(count, 200, 3)
     found = np.einsum("tk,tkc->tc", basis, coefficients[block]).reshape(wanted.shape)
     assert relative_rmse(found, wanted) < 1e-5
+    if level is CROSS:
+        return  # no light is at its middle, where no functions are to be orthonormal
     few, _, _ = joined(placed, dictionary, points, points, points, area, 12, 1e-12, bounces)
     assert few.shape == (len(points), 12)
-    for n in range(3 if level is not CROSS else 0):  # the middle of the cross has no light
+    for n in range(3):
         np.testing.assert_allclose(few[block == n].T @ few[block == n], np.eye(12), atol=1e-9)
 
 
