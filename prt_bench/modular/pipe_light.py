@@ -125,8 +125,8 @@ def response(
     """From lightfields that enter through the near end, in k numbers, to irradiance on the wall, by `across`² rays from each
     sample.
 
-    Rays of one ring of samples are those of all, each moved along the pipe; where one meets the wall before the near end, that
-    end gave no light along it. Even light through both ends is all that `one_bounce` lacks, to which rows are scaled.
+    Rays of one ring of samples are those of all, moved along the pipe; those that would meet the wall before the near end bring
+    light that came through it. Even light through both ends is all that `one_bounce` lacks, to which rows are scaled.
     """
     position, direction, hit = ring(pipe, side, across)
     start, rays = pipe.frame(np.zeros(1)), across * across
