@@ -87,7 +87,8 @@ class StrandPaths:
 
     def openness(self, texel: Int[np.ndarray, " n"], rays: int, key: int) -> Float[np.ndarray, " n"]:
         """Direct irradiance on strand texels from radiance 1/π that comes in from outside of the hair: how open it is there."""
-        keys = hashed(np.arange(len(texel) * rays, dtype=np.uint64) + np.uint64(key) * np.uint64(1 << 40))
+        number = texel[:, None].astype(np.uint64) * np.uint64(rays) + np.arange(rays, dtype=np.uint64)
+        keys = hashed(number.ravel() + np.uint64(key) * np.uint64(1 << 40))
         seen = np.empty(len(keys), bool)
 
         def look(block: slice) -> None:

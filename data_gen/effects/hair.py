@@ -40,6 +40,7 @@ from prt_bench.walks import WalkTable
 
 VERSION = 2  # part of the transport's key: raise when the same inputs would give other paths
 _PATHS = 1 << 17  # paths that are traced and stored together
+_LOOKING = 1 << 15  # texels whose openness is found and stored together
 _PILOT = 2 * BLOCK  # paths that are followed to predict what all of them cost
 _SKY_RAYS = 64  # from each texel, that tell how open the hair is there
 _REFLECTED, _ONWARD, _DRAWN = np.uint64(21), np.uint64(22), np.uint64(23)  # choose random numbers
@@ -166,8 +167,8 @@ def write_strand_paths(
         child, "ends", (len(rows), channels, rays), (min(size, len(rows)), channels, rays), resolver.sample.dtype
     )
     create_array(child, "scale", (len(rows), channels, 2), (min(size, len(rows)), channels, 2), np.float32)
-    table = _Table(paths, samples, rays, seed, bodies)
     chunks = [slice(at, min(at + size, len(rows))) for at in range(0, len(rows), size)]
+    table = _Table(paths, samples, rays, seed, bodies, _openness(child, journal, first + len(chunks), paths, seed))
     missing = [(first + i, part) for i, part in enumerate(chunks) if first + i not in journal.done]
     for number, part in track(missing, f"paths in the hair of {scene.name}"):
         ends, scale, fates = table.rows(part)
@@ -180,19 +181,36 @@ def write_strand_paths(
         say(f"hair of {scene.name}: {left:.1e} of the paths neither left nor were absorbed after {LONGEST} rays")
 
 
+def _openness(
+    group: zarr.Group, journal: Journal, first: int, paths: StrandPaths, seed: int
+) -> Float[np.ndarray, " texels"]:
+    """How open the hair is at every texel of strands, stored part by part under journal numbers from `first`."""
+    count = len(paths.strands) * TEXELS
+    create_array(group, "open", (count,), (min(_LOOKING, count),), np.float32)
+    parts = [np.arange(at, min(at + _LOOKING, count)) for at in range(0, count, _LOOKING)]
+    missing = [(first + i, part) for i, part in enumerate(parts) if first + i not in journal.done]
+    for number, texel in track(missing, f"openness of the hair of {paths.scene.name}"):
+        group["open"][texel[0] : texel[-1] + 1] = paths.openness(texel, _SKY_RAYS, seed)  # pyright: ignore[reportIndexIssue]
+        journal.add(number)
+    return np.asarray(group["open"][:])  # pyright: ignore[reportIndexIssue]
+
+
 class _Table:
     """Rows of the table of one scene's strand texels."""
 
     def __init__(
-        self, paths: StrandPaths, samples: SurfacePoints, rays: int, seed: int, bodies: WalkTable | None
+        self,
+        paths: StrandPaths,
+        samples: SurfacePoints,
+        rays: int,
+        seed: int,
+        bodies: WalkTable | None,
+        openness: Float[np.ndarray, " texels"],
     ) -> None:
         self.paths, self.albedo, self.rays, self.seed = paths, samples.albedo, rays, seed
         self.bodies = None if bodies is None else np.asarray(bodies.ends[:])
-        strands = paths.scene.strands
-        assert strands is not None
         self.open = np.ones(len(samples))
-        every = np.arange(len(strands) * TEXELS)
-        self.open[-len(every) :] = paths.openness(every, _SKY_RAYS, seed)
+        self.open[-len(openness) :] = openness
         self.body_row = np.full(len(samples), -1)
         if bodies is not None:
             self.body_row[bodies.rows] = np.arange(len(bodies.rows))

@@ -10,6 +10,8 @@ import pytest
 import trimesh
 
 import prt_bench as prt
+from data_gen import journal
+from data_gen.effects import hair as effect
 from data_gen.geometry import Part, assemble, box, solid
 from data_gen.hair_paths import Fate, StrandPaths
 from data_gen.medium_walk import walk_keys
@@ -129,6 +131,28 @@ def test_what_is_stored(brown: LightingDataset) -> None:
     np.testing.assert_array_equal(brown.shown_direct, brown.direct)
     again = LightingDataset.open(brown.path)  # pyright: ignore
     np.testing.assert_array_equal(again.points.clearance, brown.points.clearance)
+
+
+def test_a_bake_that_stops_while_it_looks_for_the_sky_goes_on_to_the_same_bits(
+    brown: LightingDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(effect, "_LOOKING", 400)
+    add, done = journal.Journal.add, []
+
+    def add_then_stop(self: journal.Journal, chunk: int, **entry: object) -> None:
+        add(self, chunk, **entry)
+        done.append(chunk)
+        if len(done) == 3:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(journal.Journal, "add", add_then_stop)
+        with pytest.raises(KeyboardInterrupt):
+            baked(brown.scene, tmp_path)
+    again = baked(brown.scene, tmp_path)
+    assert again.metadata["actual"]["resumed"]
+    assert again.metadata["actual"]["shadow_rays"] < brown.metadata["actual"]["shadow_rays"]
+    np.testing.assert_array_equal(again.indirect, brown.indirect)
 
 
 def test_the_halves_are_estimates_of_their_own(brown: LightingDataset) -> None:
