@@ -228,7 +228,7 @@ def test_in_a_maze_of_many_rooms_lights_stand_in_the_rooms():
     tracer = Tracer(scene)
     lights = sample_lightings(scene, "point", 24, 0, tracer)
     place = np.array([lighting.lights[0].position for lighting in lights])  # pyright: ignore
-    cells = {tuple(cell) for cell in np.round(place[:, [0, 2]] / EDGE).astype(int).tolist()}
+    cells = {tuple(cell) for cell in np.round(place / EDGE).astype(int).tolist()}
     assert cells <= set(maze(60, 1).cells)
     assert len(cells) > 8
     assert np.all(np.abs(place[:, 1]) < 0.5 * EDGE)

@@ -1,5 +1,9 @@
 """A small dictionary of blocks and one of pipes, built once; and one of any numbers, where it does not matter what they are."""
 
+import fcntl
+import os
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,15 +18,28 @@ SIDE, GRID = 8, Grid(8, 14)
 
 
 @pytest.fixture(scope="session")
-def dictionary() -> Dictionary:
-    return build(SIDE, functions=24, prior=40, lights=40, grid=GRID, lightfields=64, arriving=24, secondary=True)
+def dictionary(tmp_path_factory: pytest.TempPathFactory) -> Dictionary:
+    sizes = {"functions": 24, "prior": 40, "lights": 40, "lightfields": 64, "arriving": 24}
+    return _shared(tmp_path_factory, "flat", lambda: build(SIDE, **sizes, grid=GRID, secondary=True))
 
 
 @pytest.fixture(scope="session")
-def spatial() -> Dictionary:
+def spatial(tmp_path_factory: pytest.TempPathFactory) -> Dictionary:
     """For levels of several layers."""
     sizes = {"functions": 20, "prior": 32, "lights": 32, "lightfields": 64, "arriving": 24}
-    return build(SIDE, **sizes, grid=Grid(6, 12), dimension=3, secondary=True)
+    return _shared(
+        tmp_path_factory, "spatial", lambda: build(SIDE, **sizes, grid=Grid(6, 12), dimension=3, secondary=True)
+    )
+
+
+def _shared(folders: pytest.TempPathFactory, name: str, make: Callable[[], Dictionary]) -> Dictionary:
+    """One of each for all workers of a run: what the first has built, the others read."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return make()
+    path = folders.getbasetemp().parent / f"{name}.safetensors"  # the folder of this run
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return Dictionary.load(path if path.exists() else make().save(path))
 
 
 @pytest.fixture(scope="session")

@@ -82,11 +82,11 @@ def test_probes_in_a_cube_have_the_light_that_is_gathered_there():
     """Harmonics of the irradiance that rays about each of many normals gather."""
     position, _ = sample_points(SIDE)
     radiosity = 1.0 + position @ [0.5, -1.0, 0.3]
-    at, (facing, weight) = places(np.full(3, -0.5), np.full(3, 0.5), (2, 2, 2)), quadrature(16)
+    at, (facing, weight) = places(np.full(3, -0.5), np.full(3, 0.5), (2, 2, 2)), quadrature(12)
     facing = np.asarray(facing)
     matrix = np.asarray(evaluate(facing, 3)).T * np.asarray(weight)
-    rays = cosine_rays(facing, 64)
-    gathered = [interpolation(np.tile(place, (len(rays), 1)), rays, SIDE) @ radiosity / 64**2 for place in at]
+    rays = cosine_rays(facing, 48)
+    gathered = [interpolation(np.tile(place, (len(rays), 1)), rays, SIDE) @ radiosity / 48**2 for place in at]
     wanted = np.stack(gathered) @ matrix.T
     found = (probed(2, from_faces(SIDE)) @ radiosity / np.pi).reshape(8, 9)
     np.testing.assert_allclose(found, wanted, atol=0.003 * wanted.max())
@@ -138,7 +138,7 @@ def test_light_between_blocks_tilts_and_fills_the_air_as_in_one_long_room(dictio
 
 @pytest.mark.parametrize(
     ("rotation", "kind", "most"),
-    [(5, "dictionary", 1e-5), (1, "dictionary", 1e-5), (2, "spatial", 0.1), (13, "spatial", 0.1), (22, "spatial", 0.1)],
+    [(5, "dictionary", 1e-5), (1, "dictionary", 1e-5), (22, "spatial", 0.1)],
 )
 def test_a_level_that_is_turned_has_turned_vectors_and_volumes(rotation, kind, most, request):
     """To rounding about +y; a dictionary of three dimensions favours directions a little."""
