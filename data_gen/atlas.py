@@ -11,11 +11,11 @@ from math import ceil, sqrt
 from pathlib import Path
 
 import numpy as np
-import xatlas
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from data_gen.charts import Charted, ChartsFailed, generate
 from data_gen.journal import content_key, write_whole
 from data_gen.raster import overlaps, rasterise
 from prt_bench.errors import SceneError, SpecError
@@ -148,19 +148,12 @@ def _parametrise(scene: Scene) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarr
     """Charts by xatlas, in metres, side by side, and which faces have one. No chart spans two materials."""
     mesh = scene.mesh
     groups = [np.flatnonzero(mesh.material == index) for index in np.unique(mesh.material)]
-    atlas = xatlas.Atlas()
-    for group in groups:
-        atlas.add_mesh(mesh.vertices.astype(np.float32), mesh.faces[group].astype(np.uint32))
-    options = xatlas.PackOptions()
-    options.padding = 1
-    atlas.generate(xatlas.ChartOptions(), options)
+    atlas = _by_xatlas(scene, [(mesh.vertices, mesh.faces[group]) for group in groups], padding=1)
     corner_uv = np.zeros((len(mesh.faces), 3, 2))
     held = np.zeros(len(mesh.faces), bool)
-    for index, group in enumerate(groups):
-        _, faces, uv = atlas.get_mesh(index)
-        sheet, _ = atlas.get_mesh_vertex_assignment(index)
-        corner_uv[group] = (uv * (atlas.width, atlas.height) / atlas.texels_per_unit)[faces]
-        held[group] = (sheet[faces].astype(np.int32) >= 0).all(axis=1)
+    for group, (faces, uv, sheet, _) in zip(groups, atlas.sheets, strict=True):
+        corner_uv[group] = (uv * atlas.size / atlas.texels_per_unit)[faces]
+        held[group] = (sheet[faces] >= 0).all(axis=1)
     return corner_uv, held
 
 
@@ -202,7 +195,7 @@ def _pack(
     low, high, best = np.log(0.05 * resolution / side), np.log(resolution / side), None
     for _ in range(_FIT_STEPS):
         density = np.exp(low if best is None else 0.5 * (low + high))
-        packed = _try_packing(vertices, faces, resolution, density, padding(mips))
+        packed = _try_packing(scene, vertices, faces, resolution, density, padding(mips))
         if packed is not None:
             best, low = packed, np.log(density)
         elif best is None:
@@ -220,26 +213,35 @@ def _pack(
 
 
 def _try_packing(
-    vertices: np.ndarray, faces: np.ndarray, resolution: int, density: float, apart: int
+    scene: Scene, vertices: np.ndarray, faces: np.ndarray, resolution: int, density: float, apart: int
 ) -> tuple[Float[np.ndarray, "F 3 2"], Int[np.ndarray, " F"]] | None:
     """Coordinates and chart of every face when all charts fit one square at this density, else None."""
-    atlas = xatlas.Atlas()
-    atlas.add_uv_mesh(vertices, faces)
-    options = xatlas.PackOptions()
-    options.resolution, options.texels_per_unit = resolution, density
-    options.padding = apart // 2  # xatlas pads every chart on all sides
-    options.bruteForce = resolution <= 512  # slow on larger squares, and gains nothing there
-    atlas.generate(xatlas.ChartOptions(), options)
-    if atlas.atlas_count != 1:
+    atlas = _by_xatlas(
+        scene, [(vertices, faces)], unwrapped=True, resolution=resolution, texels_per_unit=density,
+        padding=apart // 2,  # xatlas pads every chart on all sides
+        bruteForce=resolution <= 512,  # slow on larger squares, and gains nothing there
+    )  # fmt: skip
+    if atlas.count != 1:
         return None
-    _, placed, uv = atlas.get_mesh(0)
+    placed, uv, _, chart = atlas.sheets[0]
     corner_uv = uv.astype(float)[placed]
     # xatlas shrinks a chart that is larger than the square; all charts are to have one scale.
     scale = _areas(corner_uv).sum() * resolution**2 / (_areas(vertices[faces].astype(float)).sum() * density**2)
     if scale < 0.97:
         return None
-    _, chart = atlas.get_mesh_vertex_assignment(0)
-    return corner_uv, chart[placed[:, 0]].astype(np.int32)
+    return corner_uv, chart[placed[:, 0]]
+
+
+def _by_xatlas(
+    scene: Scene, meshes: list[tuple[np.ndarray, np.ndarray]], unwrapped: bool = False, **options: float | bool
+) -> Charted:
+    """`charts.generate` for a scene. Raises `SceneError` where that fails."""
+    try:
+        return generate(meshes, unwrapped, **options)
+    except ChartsFailed as reason:
+        raise SceneError(
+            f"'{scene.name}' was not unwrapped: {reason}; try again, or give it texture coordinates of its own"
+        ) from reason
 
 
 def _areas(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
