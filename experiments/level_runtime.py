@@ -5,10 +5,10 @@ prepared for frames, which also has the step from direct light and albedo; besid
 OpenGL with what comes before and after: shadow maps of one point light, direct light at the samples, the padded image, drawing.
 How far results are from those in JAX is printed with them. Last, what leaving out weak pairs costs and saves.
 
-    python experiments/level_runtime.py [--blocks 1 11 41 200] [--data FOLDER]
+    python experiments/level_runtime.py [--blocks 1 11 41 200]
 
-Draws a maze of 11 blocks from within: direct light, indirect light after all bounces, and both. The dictionary is that of
-`modular.py`, which is built if it is not there.
+Draws a maze of 11 blocks from within: direct light, indirect light after all bounces, and both. The dictionary is
+built if it is not in the cache.
 """
 
 import os
@@ -29,13 +29,12 @@ import prt_bench as prt
 from data_gen.levels import EDGE, block_samples, scene_of
 from data_gen.scenes.maze import ALBEDO
 from prt_bench.modular.atlas import LevelAtlas
-from prt_bench.modular.dictionary import Dictionary, build
+from prt_bench.modular.dictionary import Dictionary, standard
 from prt_bench.modular.level import Level, LevelTransfer, maze, transfer
 from prt_bench.modular.prepared import PreparedLevel
 from prt_bench.runtime import headless, renderer
 from prt_bench.runtime.level import LevelRuntime
 from prt_bench.scene import Camera
-from prt_bench.store import data_folder
 from prt_bench.timing import interleaved
 
 PAPER_MS = {11: 1.4, 41: 6.2}
@@ -52,9 +51,8 @@ CORE_HEADS = (
 
 
 def main() -> None:
-    settings = arguments(__doc__, "levels.webp", blocks=[1, 11, 41, 200]).parse_args()
-    path = Path(settings.data or data_folder()) / "blocks.safetensors"
-    dictionary = Dictionary.load(path if path.exists() else build().save(path))
+    settings = arguments(__doc__, "levels.webp", data=False, blocks=[1, 11, 41, 200]).parse_args()
+    dictionary = standard()
     one_core(dictionary, settings.blocks)
     print()
     opengl(dictionary, settings.blocks)

@@ -52,7 +52,6 @@ def main() -> None:
         for layers, counts in ((1, settings.blocks), (LAYERS, settings.tall))
     )
     dictionary = timed(2)
-    dictionary.save(Path(folder) / "blocks.safetensors")
     spectra()
     found = [study(level, dictionary, settings, folder) for level in flat]
     dictionary = timed(3)
