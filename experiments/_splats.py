@@ -22,7 +22,7 @@ from prt_bench.timing import interleaved
 
 TIMED = (1024, 768)
 SHOWN = (240, 180)
-PATHS, FEWEST = 128, 48  # of each pixel: every vertex of a path is lit by all points, so many points have fewer
+PATHS, FEWEST = 64, 8  # of each pixel: every vertex of a path is lit by all points, so many points have fewer
 ATLAS = 4096  # texels a side, for all faces of all points
 ROUNDS = 5
 
